@@ -399,9 +399,7 @@ impl Pipeline {
         let finished = self.finish("undistort", done, "images for training");
         let print = finished.identity()?;
         self.say_decisions(&finished.value);
-        if let Some(frames) = &mut self.record.frames {
-            frames.decisions.extend(finished.value);
-        }
+        self.record.frames.iter_mut().for_each(|frames| frames.decisions.extend_from_slice(&finished.value));
         if let Some(poses) = &self.record.poses {
             self.show_poses("undistorted/sparse/0", poses);
         }

@@ -26,6 +26,7 @@ mod limits;
 pub mod matching;
 mod metric;
 mod model_selection;
+mod outline_pieces;
 mod pairs;
 mod plane_tracks;
 mod plausibility;
@@ -41,7 +42,6 @@ mod torque_free;
 mod tracks;
 mod triangulation;
 pub mod two_view;
-mod outline_pieces;
 mod undistort;
 mod upright;
 

@@ -1,7 +1,8 @@
 //! Pieces of masks that are no part of the object: its shadow on the floor, the rim of a pole.
 //!
-//! What a mask shows apart from its largest piece stays where it can belong to the object: somewhere
-//! along the rays of most of its pixels lies a place that more than half of the other views cover.
+//! What a mask shows apart from its largest piece stays where it can belong to the object:
+//! somewhere along the rays of most of its pixels lies a place that more than half of the other
+//! views cover.
 //! That is the visual hull (Laurentini 1994) of a majority of the masks, as masks lose parts here
 //! and there. A shadow turns with the lamp, not with the object, and what stands still in the
 //! pictures stands nowhere in the object's frame.
@@ -9,6 +10,7 @@
 use crate::disjoint_sets::DisjointSets;
 use crate::error::SfmError;
 use crate::sift::unreadable;
+use crate::undistort::cannot_write;
 use glam::{DVec2, DVec3};
 use image::GrayImage;
 use rayon::prelude::*;
@@ -92,8 +94,8 @@ pub(crate) fn remove_contradicted(
     progress: &Progress,
 ) -> Result<RemovedPieces, SfmError> {
     let images: Vec<&PosedImage> = model.images.values().collect();
-    let read = |image: &&PosedImage| OutlinedView::read(folder, image, &model.cameras);
-    let views: Vec<Option<OutlinedView>> = images.par_iter().map(read).collect::<Result<_, _>>()?;
+    let views = images.par_iter().map(|image| OutlinedView::read(folder, image, &model.cameras));
+    let views: Vec<Option<OutlinedView>> = views.collect::<Result<_, _>>()?;
     let mut views: Vec<OutlinedView> = views.into_iter().flatten().collect();
     if views.len() < RULES.least_views || model.points.is_empty() {
         return Ok(RemovedPieces::default());
@@ -229,12 +231,8 @@ impl<'a> OutlinedView<'a> {
             mask.as_mut()[*pixel as usize] = 0;
         }
         // The file may be another name of the one that the matte was written to.
-        let failed = |e: &dyn std::fmt::Display| SfmError::CannotWrite {
-            path: self.path.clone(),
-            reason: e.to_string(),
-        };
-        std::fs::remove_file(&self.path).map_err(|e| failed(&e))?;
-        mask.save(&self.path).map_err(|e| failed(&e))
+        std::fs::remove_file(&self.path).map_err(|e| cannot_write(&self.path, &e))?;
+        mask.save(&self.path).map_err(|e| cannot_write(&self.path, &e))
     }
 }
 
@@ -250,7 +248,8 @@ fn pieces(mask: &GrayImage) -> Vec<Piece> {
     for i in (0..values.len()).filter(|i| is_covered(*i)) {
         let (x, y) = (i % width, i / width);
         let left = (x > 0).then(|| i - 1);
-        let above = (y > 0).then(|| (i - width - usize::from(x > 0))..=(i - width + usize::from(x + 1 < width)));
+        let above =
+            (y > 0).then(|| (i - width - usize::from(x > 0))..=(i - width + usize::from(x + 1 < width)));
         let before = left.into_iter().chain(above.into_iter().flatten());
         before.filter(|j| is_covered(*j)).for_each(|j| {
             sets.join(i, j);
@@ -302,18 +301,29 @@ mod tests {
         model
     }
 
+    /// Whether the ray of a pixel's middle meets a ball.
+    fn meets(pose: &Pose, pixel: [u32; 2], centre: DVec3, radius: f64) -> bool {
+        let at = DVec2::new(f64::from(pixel[0]), f64::from(pixel[1])) + 0.5;
+        pose.transform(centre).cross(camera().ray(at).normalize()).length() < radius
+    }
+
     fn mask(pose: &Pose, k: usize, scale: f64, beside: &[Beside]) -> GrayImage {
-        let ball = |centre: DVec3, radius: f64, x: u32, y: u32| {
-            let centre = pose.transform(scale * centre);
-            let ray = camera().ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).normalize();
-            centre.cross(ray).length() < scale * radius
-        };
+        let has_part = beside.contains(&Beside::Part) && !k.is_multiple_of(4);
+        let has_shadow = beside.contains(&Beside::Shadow);
         GrayImage::from_fn(160, 120, |x, y| {
-            let part = beside.contains(&Beside::Part) && k % 4 != 0;
-            let part = part && ball(DVec3::new(0.0, 0.0, 0.75), 0.06, x, y);
-            let shadow = beside.contains(&Beside::Shadow) && x > 120 && y > 95;
-            Luma([255 * u8::from(ball(DVec3::ZERO, 0.5, x, y) || part || shadow)])
+            let body = meets(pose, [x, y], DVec3::ZERO, scale * 0.5);
+            let part = has_part && meets(pose, [x, y], scale * DVec3::new(0.0, 0.0, 0.75), scale * 0.06);
+            let shadow = has_shadow && x > 120 && y > 95;
+            Luma([255 * u8::from(body || part || shadow)])
         })
+    }
+
+    fn path(folder: &Path, image: &PosedImage) -> PathBuf {
+        folder.join(format!("{}.png", image.name))
+    }
+
+    fn removed(folder: &Path, model: &Reconstruction) -> RemovedPieces {
+        remove_contradicted(folder, model, &Progress::silent()).unwrap()
     }
 
     /// Writes masks, removes what is contradicted, and returns what was and the masks.
@@ -321,12 +331,11 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("sat-recon-pieces-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let model = model(scale);
-        let path = |image: &PosedImage| folder.join(format!("{}.png", image.name));
         for (k, image) in model.images.values().enumerate() {
-            mask(&image.pose, k, scale, beside).save(path(image)).unwrap();
+            mask(&image.pose, k, scale, beside).save(path(&folder, image)).unwrap();
         }
-        let removed = remove_contradicted(&folder, &model, &Progress::silent()).unwrap();
-        let masks = model.images.values().map(|image| open(&path(image)).unwrap()).collect();
+        let removed = removed(&folder, &model);
+        let masks = model.images.values().map(|image| open(&path(&folder, image)).unwrap()).collect();
         std::fs::remove_dir_all(&folder).unwrap();
         (removed, masks)
     }
@@ -338,7 +347,7 @@ mod tests {
             let (removed, masks) = cleaned(&name, scale, &[Beside::Part, Beside::Shadow]);
             assert_eq!(removed, RemovedPieces { pieces: VIEWS, masks: VIEWS });
             for (k, (mask, image)) in masks.iter().zip(model(scale).images.values()).enumerate() {
-                assert!(*mask == super::tests::mask(&image.pose, k, scale, &[Beside::Part]), "mask {k}");
+                assert!(*mask == self::mask(&image.pose, k, scale, &[Beside::Part]), "mask {k}");
             }
         }
     }
@@ -348,16 +357,15 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("sat-recon-pieces-few-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let (model, both) = (model(1.0), [Beside::Shadow]);
-        let removed = || remove_contradicted(&folder, &model, &Progress::silent()).unwrap();
-        assert_eq!(removed(), RemovedPieces::default(), "no masks");
+        assert_eq!(removed(&folder, &model), RemovedPieces::default(), "no masks");
         for (k, image) in model.images.values().enumerate().take(7) {
-            mask(&image.pose, k, 1.0, &both).save(folder.join(format!("{}.png", image.name))).unwrap();
+            mask(&image.pose, k, 1.0, &both).save(path(&folder, image)).unwrap();
         }
-        assert_eq!(removed(), RemovedPieces::default(), "seven");
+        assert_eq!(removed(&folder, &model), RemovedPieces::default(), "seven");
         for image in model.images.values() {
-            GrayImage::new(160, 120).save(folder.join(format!("{}.png", image.name))).unwrap();
+            GrayImage::new(160, 120).save(path(&folder, image)).unwrap();
         }
-        assert_eq!(removed(), RemovedPieces::default(), "black ones");
+        assert_eq!(removed(&folder, &model), RemovedPieces::default(), "black ones");
         std::fs::write(folder.join("00.png.png"), b"no picture").unwrap();
         let error = remove_contradicted(&folder, &model, &Progress::silent()).unwrap_err();
         assert!(error.to_string().contains("00.png.png"), "{error}");

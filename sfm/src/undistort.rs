@@ -110,7 +110,8 @@ fn whole_pixels(length: f64, full: f64) -> f64 {
     if pixels.is_finite() { pixels.clamp((full / SIZE_LIMIT).ceil(), full * SIZE_LIMIT) } else { full }
 }
 
-fn cannot_write(path: &Path, error: &impl std::fmt::Display) -> SfmError {
+/// The error of a file that cannot be written.
+pub(crate) fn cannot_write(path: &Path, error: &impl std::fmt::Display) -> SfmError {
     SfmError::CannotWrite { path: path.to_owned(), reason: error.to_string() }
 }
 

@@ -129,8 +129,10 @@ impl Subject {
             Self::TriangulatedPoints => "points triangulated",
             Self::SharedCameras => "groups of images",
             Self::TilePairs => "at most",
-            Self::RedundantGaussians | Self::UnobservedGaussians | Self::OutsideSilhouettes => "removed",
-            Self::MattePieces => "removed",
+            Self::RedundantGaussians
+            | Self::UnobservedGaussians
+            | Self::OutsideSilhouettes
+            | Self::MattePieces => "removed",
             Self::NonFiniteGradients => "skipped",
             _ => "",
         }
