@@ -38,14 +38,28 @@ struct PieceRules {
     /// They lie between the distance of the points divided and multiplied by this. Source:
     /// judgement: cameras stay outside of the object.
     reach: f64,
+    /// Views that are asked about a place at most, spread evenly. Source: as for fusion.
+    views: usize,
+    /// Pieces of a mask that are judged, the largest first: a mask of noise has thousands. Source:
+    /// judgement: case 4 has at most 7.
+    pieces: usize,
     /// Rounds at most: pieces of the same shadow cover one another until some of them have gone.
     /// Source: case 4 takes two.
     rounds: usize,
 }
 
 /// See [`PieceRules`].
-const RULES: PieceRules =
-    PieceRules { covered: 8, least_views: 8, cells: 80, pixels: 24, places: 96, reach: 2.0, rounds: 4 };
+const RULES: PieceRules = PieceRules {
+    covered: 8,
+    least_views: 8,
+    cells: 80,
+    pixels: 24,
+    places: 96,
+    reach: 2.0,
+    views: 120,
+    pieces: 32,
+    rounds: 4,
+};
 
 /// What was removed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -82,7 +96,7 @@ struct OutlinedView<'a> {
     columns: u32,
     /// Covered pixels of each cell.
     counts: Vec<u32>,
-    /// All pieces but the largest.
+    /// The pieces that are judged: not the largest.
     pieces: Vec<Piece>,
 }
 
@@ -167,13 +181,15 @@ fn is_supported(views: &[OutlinedView], view: usize, pixel: u32, centre: DVec3) 
 /// Whether most of the other views that see a place cover it; `None` where too few see it.
 fn majority(views: &[OutlinedView], view: usize, place: DVec3) -> Option<bool> {
     let (mut covered, mut bare) = (0, 0);
-    for (_, other) in views.iter().enumerate().filter(|(i, _)| *i != view) {
+    let asked = views.iter().enumerate().step_by(views.len().div_ceil(RULES.views));
+    let asked = asked.filter(|(i, _)| *i != view);
+    for (_, other) in asked {
         match other.covers(place) {
             Some(true) => covered += 1,
             Some(false) => bare += 1,
             None => {}
         }
-        if bare * 2 > views.len() {
+        if bare * 2 > views.len().min(RULES.views) {
             return Some(false);
         }
     }
@@ -240,7 +256,7 @@ fn open(path: &Path) -> Result<GrayImage, SfmError> {
     scene::io::load_mask(path).map_err(|e| unreadable(path, &e))
 }
 
-/// Connected pixels (8 neighbours) of a mask but for the largest group.
+/// Connected pixels (8 neighbours) of a mask but for the largest group, the larger first.
 fn pieces(mask: &GrayImage) -> Vec<Piece> {
     let (width, values) = (mask.width() as usize, mask.as_raw());
     let is_covered = |i: usize| values[i] >= RULES.covered;
@@ -259,9 +275,10 @@ fn pieces(mask: &GrayImage) -> Vec<Piece> {
     for i in (0..values.len()).filter(|i| is_covered(*i)) {
         groups.entry(sets.find(i)).or_default().push(i as u32);
     }
-    let largest = groups.iter().max_by_key(|(_, g)| g.len()).map(|(name, _)| *name);
-    let smaller = groups.into_iter().filter(|(name, _)| Some(*name) != largest);
-    smaller.map(|(_, pixels)| Piece { pixels, removed: false }).collect()
+    let mut groups: Vec<Vec<u32>> = groups.into_values().collect();
+    groups.sort_by_key(|pixels| std::cmp::Reverse(pixels.len()));
+    let smaller = groups.into_iter().skip(1).take(RULES.pieces);
+    smaller.map(|pixels| Piece { pixels, removed: false }).collect()
 }
 
 #[cfg(test)]
@@ -350,6 +367,17 @@ mod tests {
                 assert!(*mask == self::mask(&image.pose, k, scale, &[Beside::Part]), "mask {k}");
             }
         }
+    }
+
+    #[test]
+    fn of_a_mask_of_noise_the_larger_pieces_are_judged() {
+        let noise = GrayImage::from_fn(120, 90, |x, y| {
+            let speck = x.is_multiple_of(4) && y.is_multiple_of(4);
+            Luma([255 * u8::from(speck || (x < 40 && y < 40) || ((60..70).contains(&x) && y > 80))])
+        });
+        let sizes: Vec<usize> = pieces(&noise).iter().map(|p| p.pixels.len()).collect();
+        assert_eq!(sizes.len(), RULES.pieces);
+        assert!(sizes[0] >= 90 && sizes[1..].iter().all(|n| *n == 1), "{sizes:?}");
     }
 
     #[test]
