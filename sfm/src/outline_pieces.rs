@@ -197,7 +197,7 @@ fn majority(views: &[OutlinedView], view: usize, place: DVec3) -> Option<bool> {
 }
 
 impl<'a> OutlinedView<'a> {
-    /// `None` where the image has no mask.
+    /// `None` where the image has no mask or one of another size.
     fn read(
         folder: &Path,
         image: &PosedImage,
@@ -208,6 +208,10 @@ impl<'a> OutlinedView<'a> {
             return Ok(None);
         }
         let mask = open(&path)?;
+        // Who loads it says so.
+        if mask.dimensions() != (camera.width, camera.height) {
+            return Ok(None);
+        }
         let cell = camera.width.max(camera.height).div_ceil(RULES.cells).max(1);
         let columns = camera.width.div_ceil(cell);
         let mut counts = vec![0; (columns * camera.height.div_ceil(cell)) as usize];
@@ -394,6 +398,10 @@ mod tests {
             GrayImage::new(160, 120).save(path(&folder, image)).unwrap();
         }
         assert_eq!(removed(&folder, &model), RemovedPieces::default(), "black ones");
+        for image in model.images.values() {
+            GrayImage::from_pixel(160, 900, Luma([255])).save(path(&folder, image)).unwrap();
+        }
+        assert_eq!(removed(&folder, &model), RemovedPieces::default(), "of another size");
         std::fs::write(folder.join("00.png.png"), b"no picture").unwrap();
         let error = remove_contradicted(&folder, &model, &Progress::silent()).unwrap_err();
         assert!(error.to_string().contains("00.png.png"), "{error}");
