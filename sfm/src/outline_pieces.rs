@@ -10,6 +10,7 @@
 use crate::disjoint_sets::DisjointSets;
 use crate::error::SfmError;
 use crate::sift::unreadable;
+use crate::statistics::median;
 use crate::undistort::cannot_write;
 use glam::{DVec2, DVec3};
 use image::GrayImage;
@@ -134,12 +135,8 @@ pub(crate) fn remove_contradicted(
 
 /// The median of the points.
 fn middle(model: &Reconstruction) -> DVec3 {
-    let coordinate = |axis: usize| {
-        let mut all: Vec<f64> = model.points.values().map(|p| p.position[axis]).collect();
-        let mid = all.len() / 2;
-        *all.select_nth_unstable_by(mid, f64::total_cmp).1
-    };
-    DVec3::from_array([0, 1, 2].map(coordinate))
+    let places = model.points.values().map(|p| p.position);
+    DVec3::from_array([0, 1, 2].map(|axis| median(places.clone().map(|x| x[axis]).collect())))
 }
 
 /// The pieces of a view that most others contradict.
