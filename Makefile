@@ -16,7 +16,7 @@ SHARED := $(or $(SAT_RECON_SHARED),../shared)
 # Where another Python comes first on the PATH, Debian's has numpy.
 PYTHON_NUMPY := $(shell python3 -c 'import numpy' 2>/dev/null && echo python3 || echo /usr/bin/python3)
 
-.PHONY: help setup viewer build demo wheel first-picture container readers readers-nerfstudio test reliability reliability-page crash-test cluster-test fuzz sanitize arm64 neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite bench-parts plausibility site \
+.PHONY: help setup viewer build demo wheel first-picture container readers readers-nerfstudio test reliability reliability-page crash-test cluster-test fuzz sanitize arm64 neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite bench-parts bench-relight plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -176,6 +176,10 @@ bench-suite: build $(VENV)/pycolmap  ## poses of all captures that `make suite` 
 
 bench-parts: build $(VENV)/pycolmap  ## moving parts of the videos that `make suite` has filmed (NAME=... a part of names)
 	$(VENV)/bin/python tools/suite/bench_parts.py $(SAT_RECON) $(SHARED) $(NAME) --out build/parts --splat --video $(SHARED)/data/phone_video/can_orbit.mp4
+
+bench-relight: build  ## `render --light` against the test bed filmed with the lamp elsewhere (needs blender)
+	@tools/setup.sh blender ffmpeg
+	/usr/bin/python3 tools/bench_relight.py $(SAT_RECON) --out build/relight
 
 plausibility: build $(VENV)/pycolmap  ## features of models, right and wrong, and the probability fitted to them (slow)
 	$(VENV)/bin/python tools/plausibility/collect.py $(SAT_RECON) $(SHARED) --out build/plausibility --table docs/results/plausibility.csv

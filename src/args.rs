@@ -300,6 +300,11 @@ pub struct RenderArgs {
     /// `part1`
     #[arg(long, value_name = "NAME=DEG", value_parser = parse_joint)]
     pub joint: Vec<(usize, f64)>,
+    /// Show a splat as if the lamp stood elsewhere: degrees to the camera's right and upwards; 0,0
+    /// is a lamp on the camera. The object must have been filmed on a turntable, or with a lamp
+    /// that moves with the camera
+    #[arg(long, value_name = "AZ,EL", value_parser = parse_light, allow_hyphen_values = true)]
+    pub light: Option<[f64; 2]>,
     /// Where to render.
     #[command(flatten)]
     pub device: splat::DeviceConfig,
@@ -314,6 +319,16 @@ fn parse_joint(text: &str) -> Result<(usize, f64), String> {
     parsed
         .filter(|(number, angle)| *number > 0 && angle.is_finite())
         .ok_or_else(|| "expected the part and an angle in degrees, such as part1=30".to_owned())
+}
+
+/// `30,10`: azimuth and elevation, degrees.
+fn parse_light(text: &str) -> Result<[f64; 2], String> {
+    let angles = text
+        .split_once(',')
+        .and_then(|(az, el)| Some([az.trim().parse::<f64>().ok()?, el.trim().parse::<f64>().ok()?]));
+    angles
+        .filter(|[az, el]| az.abs() <= 360.0 && el.abs() <= 90.0)
+        .ok_or_else(|| "expected azimuth and elevation in degrees, such as 30,10".to_owned())
 }
 
 /// The tools for which there are sets.

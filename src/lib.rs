@@ -26,6 +26,7 @@ mod parts;
 pub mod pictures;
 pub mod pipeline;
 pub mod record;
+mod relit;
 pub mod render;
 pub mod report;
 pub mod stage;

@@ -4,6 +4,7 @@ use crate::args::{Channel, RenderArgs, RenderPath};
 use crate::outcome::Outcome;
 use crate::pictures::Pictures;
 use crate::record::KnownRun;
+use crate::relit::Relit;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
@@ -20,9 +21,12 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let views = camera_path(&model, args)?;
     let [r, g, b] = args.background[..] else { bail!("--background takes red, green and blue") };
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
-    progress.begin("render", views.len());
     let (mut pictures, by) = Pictures::open(&args.run, &args.device)?;
     pictures.hold_joints(&args.joint)?;
+    let dataset = dataset_config(&args.run);
+    let light =
+        args.light.map(|angles| Relit::of(args, (&pictures, &dataset), angles, &progress)).transpose()?;
+    progress.begin("render", views.len());
     let mut sink = PictureSink::open(&args.output, args.fps)?;
     let photos = matches!(args.path, RenderPath::Input | RenderPath::Test);
     let last = views.len().max(2) - 1;
@@ -30,15 +34,19 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
         // Along a path time goes by from the first photo to the last.
         let own = || if photos { pictures.time_of(name) } else { i as f32 / last as f32 };
         let time = args.time.unwrap_or_else(own);
-        let output = pictures.render(camera, pose, time, [r, g, b])?;
+        let output = match &light {
+            Some(light) => light.render(camera, pose, [r, g, b])?,
+            None => pictures.render(camera, pose, time, [r, g, b])?,
+        };
         sink.put(name, &picture(&output, args.channel, camera))?;
         progress.tick()?;
     }
     sink.finish()?;
     if verbosity > Verbosity::Quiet {
         say(&format!("{} pictures in {}, by: {by}", views.len(), args.output.display()));
+        light.iter().for_each(|light| say(&light.sentence()));
     }
-    Ok(Outcome::Done)
+    Ok(light.map_or(Outcome::Done, |light| light.outcome()))
 }
 
 /// How far a spiral rises and falls, radii of the circle. Source: chosen by hand, never measured.

@@ -31,20 +31,23 @@ python=python3
 $python -c "import numpy" 2>/dev/null || python=/usr/bin/python3
 $python -m unittest discover -q -s tools/suite || complain "tools/suite fails its tests"
 
-# The stage crates know `scene` and nothing of each other, `baselines` also `splat`; native libraries
+# The stage crates know `scene` and nothing of each other, `baselines` and `lighting` also `splat`; native libraries
 # stay in their corner.
 for crate in scene preprocess sfm splat stereo shape; do
-  for other in preprocess sfm splat stereo shape sat_recon; do
+  for other in preprocess sfm splat stereo shape lighting sat_recon; do
     [ "$crate" = "$other" ] && continue
     git grep -nE "^$other\b" -- "$crate/Cargo.toml" && complain "$crate must not know $other"
   done
 done
-for other in preprocess sfm stereo shape sat_recon; do
+for other in preprocess sfm stereo shape lighting sat_recon; do
   git grep -nE "^$other\b" -- baselines/Cargo.toml && complain "baselines must not know $other"
+done
+for other in preprocess sfm stereo shape baselines sat_recon; do
+  git grep -nE "^$other\b" -- lighting/Cargo.toml && complain "lighting must not know $other"
 done
 git grep -nE '\bcxx::' -- '*.rs' ':!sfm/src/ceres' ':!sfm/build.rs' && complain "cxx belongs to sfm/src/ceres"
 git grep -nE '\bwgpu::' -- '*.rs' ':!splat/src/gpu' ':!baselines/src/gpu/device.rs' && complain "wgpu belongs to splat/src/gpu and baselines/src/gpu/device.rs"
 git grep -nE '\bmeshopt::' -- '*.rs' ':!shape/src/decimate.rs' && complain "meshopt belongs to shape/src/decimate.rs"
 git grep -nE 'todo!\(|unimplemented!\(|dbg!\(|#\[ignore' -- '*.rs' && complain "something was left undone"
-git grep -nE '^[^/]*(println!|print!\(|eprintln!)' -- 'scene/src' 'preprocess/src' 'sfm/src' 'splat/src' 'stereo/src' 'shape/src' 'baselines/src' ':!*tests.rs' ':!*/tests/*' ':!splat/src/parity' && complain "libraries never print"
+git grep -nE '^[^/]*(println!|print!\(|eprintln!)' -- 'scene/src' 'preprocess/src' 'sfm/src' 'splat/src' 'stereo/src' 'shape/src' 'baselines/src' 'lighting/src' ':!*tests.rs' ':!*/tests/*' ':!splat/src/parity' && complain "libraries never print"
 exit $fail

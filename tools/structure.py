@@ -19,7 +19,7 @@ import subprocess
 import sys
 
 ROOT = os.path.normpath(os.path.join(os.path.dirname(os.path.abspath(__file__)), ".."))
-CRATES = {"scene": "scene/src", "preprocess": "preprocess/src", "sfm": "sfm/src", "splat": "splat/src", "stereo": "stereo/src", "baselines": "baselines/src", "shape": "shape/src", "sat-recon": "src"}
+CRATES = {"scene": "scene/src", "preprocess": "preprocess/src", "sfm": "sfm/src", "splat": "splat/src", "stereo": "stereo/src", "baselines": "baselines/src", "lighting": "lighting/src", "shape": "shape/src", "sat-recon": "src"}
 COMMENT_COLUMNS = 100
 # What the code has of each at most. Lower a limit when the code gets better; never raise one.
 LIMITS = {

@@ -1,6 +1,7 @@
 """Renders one shot in Blender: linear light, undistorted, a little wider than the picture.
 
-    blender -b --python render.py -- SHOT FOLDER [--object FILE.glb | variant:SEED] [--room SEED] [--layer NAME] [--frames A:B:STEP]
+    blender -b --python render.py -- SHOT FOLDER [--object FILE.glb | variant:SEED] [--room SEED]
+        [--layer NAME] [--frames A:B:STEP,...] [--lamp-turn DEG]
 
 Writes FOLDER/LAYER/NNNN.exr for each layer of the shot (cases.layers): the light of the groups
 `lamp` and `room` apart and the pass `truth` (materials.tag); and FOLDER/mesh.ply, the
@@ -35,7 +36,9 @@ def arguments():
     parser.add_argument("folder")
     parser.add_argument("--object", help="a .glb, or variant:SEED, to film in place of the mock-up")
     parser.add_argument("--room", type=int, help="seed of other things beside the green screen")
-    parser.add_argument("--frames", default="::", help="start:stop:step")
+    parser.add_argument("--frames", default="::", help="start:stop:step, or several with commas between")
+    parser.add_argument("--lamp-turn", type=float, default=0.0,
+                        help="the lamp stands elsewhere: turned about the room's z axis by so many degrees")
     parser.add_argument("--layer", help="only this layer")
     return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
 
@@ -199,6 +202,14 @@ def yaw(root, shot):
     root.rotation_euler = (0, 0, 0)
 
 
+def turn_lamp(scene, degrees):
+    """The light of the group `lamp` goes round the room's z axis; its housing stays."""
+    turn = Matrix.Rotation(np.radians(degrees), 4, "Z")
+    for thing in scene.objects:
+        if thing.type == "LIGHT" and thing.lightgroup == "lamp":
+            thing.matrix_world = turn @ thing.matrix_world
+
+
 def render(scene, shot, eye, vertices, folder, name, wanted):
     """One layer's frames as far as they are missing, with the processor seconds of each in
     cpu_s.txt."""
@@ -238,13 +249,15 @@ def main():
     vertices = write_mesh(root, os.path.join(options.folder, "mesh.ply"))
     if shot.path == "yaw":
         yaw(root, shot)
-    part = slice(*(int(x) if x else None for x in options.frames.split(":")))
+    turn_lamp(scene, options.lamp_turn)
+    parts = [slice(*(int(x) if x else None for x in part.split(":"))) for part in options.frames.split(",")]
+    chosen = sorted({i for part in parts for i in range(shot.frames)[part]})
     # Coarse to fine, so that a part of the shot can be developed (`--every`) long before all of it
     # is there.
     for stride in STRIDES:
         for name in [options.layer] if options.layer else cases.layers(shot):
             set_layer(scene, shot, eye, set(descendants(root)), name)
-            render(scene, shot, eye, vertices, options.folder, name, range(shot.frames)[part][::stride])
+            render(scene, shot, eye, vertices, options.folder, name, chosen[::stride])
 
 
 main()

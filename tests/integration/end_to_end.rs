@@ -186,6 +186,10 @@ fn a_trained_splat_is_rendered_along_every_path_and_exported() {
         let (low, high) = picture.as_raw().iter().fold((255, 0), |(l, h), &v| (v.min(l), v.max(h)));
         assert!(high > low, "{channel} shows nothing");
     }
+    // The lamp of the sample stands still while the camera goes round: nothing tells its direction.
+    let unlit = dir.join("unlit");
+    let said = expect_code(&["render", text(out), "-o", text(&unlit), "--count", "2", "--light=30,10"], 1);
+    assert!(said.contains("another light") && !unlit.exists(), "{said}");
     let film = dir.join("spiral.mp4");
     expect_code(&["render", text(out), "-o", text(&film), "--path", "spiral", "--count", "4"], 0);
     assert!(std::fs::metadata(&film).unwrap().len() > 500);

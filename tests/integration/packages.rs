@@ -16,7 +16,8 @@ fn every_crate_is_packed_with_all_that_it_names() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{said}");
     assert!(!said.contains("ignoring "), "a target is named and not packed: {said}");
-    let crates = ["scene", "preprocess", "sfm", "splat", "stereo", "baselines", "shape", "sat-recon"];
+    let crates =
+        ["scene", "preprocess", "sfm", "splat", "stereo", "baselines", "shape", "lighting", "sat-recon"];
     for name in crates {
         let file = format!("package/{name}-{}.crate", env!("CARGO_PKG_VERSION"));
         let size =
