@@ -105,8 +105,10 @@ def angles(turn):
 
 def render(binary, run, target, flags):
     """Pictures of the held-out views; what the program says last."""
-    done = subprocess.run([binary, "render", run, "-o", target, "--path", "test", *flags], check=True,
+    done = subprocess.run([binary, "render", run, "-o", target, "--path", "test", *flags],
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    if done.returncode not in (0, 3, 4):  # a doubtful lamp is still shown
+        sys.exit(f"{run}: exit code {done.returncode}: {done.stdout}")
     return done.stdout.strip().splitlines()[-1]
 
 
