@@ -2,7 +2,7 @@
 """A scene that moves, as D-NeRF's are given: a box whose lid opens about a hinge, filmed once round
 from random places, each photo at its own time.
 
-    hinge.py FOLDER [--views 115] [--size 200]
+    hinge.py FOLDER [--views 115] [--size 200] [--still]
 
 Writes FOLDER/images/*.png (RGBA), transforms_{train,val,test}.json with times in [0, 1], as D-NeRF's
 program reads them, and transforms.json with all photos, of which every 8th is a test photo (what
@@ -129,11 +129,13 @@ def main():
     parser.add_argument("folder")
     parser.add_argument("--views", type=int, default=115)
     parser.add_argument("--size", type=int, default=200, help="pixels of a side")
+    parser.add_argument("--still", action="store_true", help="nothing moves: every photo is of the same time, 0.5")
     args = parser.parse_args()
     os.makedirs(os.path.join(args.folder, "images"), exist_ok=True)
     frames = []
     for index in range(args.views):
-        time, matrix = index / max(args.views - 1, 1), camera(index)
+        time = 0.5 if args.still else index / max(args.views - 1, 1)
+        matrix = camera(index)
         name = f"images/{index:03}"
         write_png(os.path.join(args.folder, name + ".png"), picture(matrix, time, args.size))
         frames.append({"file_path": "./" + name, "time": time, "transform_matrix": matrix.tolist()})

@@ -85,7 +85,7 @@ pub(crate) fn part_depths(
     let mut seen = views(dataset);
     seen.iter_mut().zip(masks).for_each(|(view, mask)| view.mask = Some(mask));
     let depths = stereo::dense_depths(&seen, points, &StereoSettings::default(), progress);
-    Ok(depths.context("no depths by stereo")?.fields.iter().map(whole).collect())
+    Ok(only_depths(depths.context("no depths by stereo")?))
 }
 
 /// The points on which the views agree, with their normals and the photos' colours.
@@ -96,19 +96,18 @@ pub(crate) fn cloud(depths: &DenseDepths, dataset: &Dataset) -> Vec<OrientedPoin
 
 /// The mesh of a run's depths, of its splat's or of both.
 pub(crate) fn mesh(
-    depths: Option<&DenseDepths>,
+    measured: Option<&[MeasuredDepth]>,
     splat: Option<(&Gaussians, bool)>,
     dataset: &Dataset,
     resolution: u32,
     progress: &Progress,
 ) -> Result<Mesh> {
-    let measured: Vec<MeasuredDepth> = depths.iter().flat_map(|d| &d.fields).map(whole).collect();
-    let source = match (depths, splat) {
+    let source = match (measured, splat) {
         (None, None) => return Ok(Mesh::default()),
-        (Some(_), None) => DepthSource::Measured(&measured),
+        (Some(measured), None) => DepthSource::Measured(measured),
         (None, Some((gaussians, antialias))) => DepthSource::Splat { gaussians, antialias },
-        (Some(_), Some((gaussians, antialias))) => {
-            DepthSource::Both { measured: &measured, gaussians, antialias }
+        (Some(measured), Some((gaussians, antialias))) => {
+            DepthSource::Both { measured, gaussians, antialias }
         }
     };
     Ok(fused_mesh(&source, dataset, resolution, progress)?)
@@ -135,13 +134,13 @@ fn views(dataset: &Dataset) -> Vec<PosedPhoto<'_>> {
     seen.collect()
 }
 
-/// The depths of the whole picture.
-fn whole(field: &PlaneField) -> MeasuredDepth {
-    let width = field.camera.width as usize;
-    let mut depth = vec![0.0; width * field.camera.height as usize];
-    for (i, z) in field.depth.iter().enumerate().filter(|(_, z)| **z > 0.0) {
-        let (x, y) = field.place(i);
-        depth[y * width + x] = *z;
-    }
-    MeasuredDepth { width, depth }
+/// What is fused: without normals and costs, which take four times the memory.
+pub(crate) fn only_depths(depths: DenseDepths) -> Vec<MeasuredDepth> {
+    let of_field = |field: PlaneField| MeasuredDepth {
+        size: [field.camera.width as usize, field.camera.height as usize],
+        corner: field.corner,
+        columns: field.width,
+        depth: field.depth,
+    };
+    depths.fields.into_iter().map(of_field).collect()
 }

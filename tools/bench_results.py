@@ -69,7 +69,8 @@ TABLES = {
         ("surface", "{surface}"), ("points", "{points:,}"), ("accuracy mean / median, %", "{accuracy_mean_pct:.3f} / {accuracy_median_pct:.3f}"),
         ("completeness mean / median, %", "{completeness_mean_pct:.3f} / {completeness_median_pct:.3f}"),
         ("precision, recall at 1 %", "{precision_pct:.1f}, {recall_pct:.1f}"),
-        ("F-score", "{f_score_pct:.1f} %"), ("Chamfer, %", "{chamfer_pct:.3f}"),
+        ("F-score at 1 %, at 0.5 %", "{f_score_pct:.1f}, {f_score_half_pct:.1f} %"), ("rods and edges of sheets found, %", "{thin_recall_pct:.1f}"),
+        ("Chamfer, %", "{chamfer_pct:.3f}"),
     ],
     "parts": [
         ("capture", "{capture}"), ("half", "{half}"), ("joints, missed, invented", "{joints}, {missed}, {invented}"),

@@ -20,6 +20,8 @@
 
 use crate::dataset::{AlphaMode, Dataset, MATTE_MARGIN_PX, Pixels, View};
 use crate::error::SplatError;
+pub use crate::measured::MeasuredDepth;
+use crate::measured::joined;
 use crate::outline::thin_parts;
 use crate::quantile::{median, quantile};
 use crate::reference::constants::DEFAULT_NEAR;
@@ -35,7 +37,7 @@ use scene::{Camera, Gaussians, Pose, Progress};
 pub const DEFAULT_RESOLUTION: u32 = 400;
 
 /// How views are fused.
-struct FusionLimits {
+pub(crate) struct FusionLimits {
     /// Most views that are fused, spread evenly. Source: chosen by hand, never measured.
     most_views: usize,
     /// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther
@@ -48,7 +50,7 @@ struct FusionLimits {
     thicken: f64,
     /// Where the splat lies before the depth by stereo by more than this share of it, the splat
     /// counts: stereo looks through blank faces. Source: docs/decisions/16.
-    seen_through: f32,
+    pub(crate) seen_through: f32,
     /// Most memory of the volume, bytes. Source: docs/decisions/16.
     most_bytes: usize,
     /// Parts smaller than this share of the largest one's area are left out. Source:
@@ -66,7 +68,7 @@ struct FusionLimits {
 }
 
 /// The values in force.
-const LIMITS: FusionLimits = FusionLimits {
+pub(crate) const LIMITS: FusionLimits = FusionLimits {
     most_views: 120,
     pixels_of_a_voxel: 1.5,
     truncation: 3.0,
@@ -81,30 +83,6 @@ const LIMITS: FusionLimits = FusionLimits {
 
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
-
-/// Depths of a view.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct MeasuredDepth {
-    /// Pixels of a row.
-    pub width: usize,
-    /// [rows × width] camera z, scene units; 0 where nothing is known. Of the size of one of the
-    /// view's levels.
-    pub depth: Vec<f32>,
-}
-
-impl MeasuredDepth {
-    /// These depths of a splat, of a picture's size, joined with those by stereo of any size;
-    /// nothing where the splat shows nothing.
-    pub fn joined(&self, stereo: &Self) -> Self {
-        let shrunk = |v: usize| v * stereo.width / self.width.max(1);
-        let joined = self.depth.iter().enumerate().map(|(i, &splat)| {
-            let [x, y] = [i % self.width, i / self.width].map(shrunk);
-            let by_stereo = stereo.depth.get(y * stereo.width + x).copied().unwrap_or(0.0);
-            if splat > 0.0 && by_stereo > 0.0 { joined(splat, by_stereo) } else { splat }
-        });
-        Self { width: self.width, depth: joined.collect() }
-    }
-}
 
 /// Where the depths that are fused come from.
 #[derive(Clone, Copy, Debug)]
@@ -218,27 +196,25 @@ struct ViewSource<'a> {
     scale: f64,
 }
 
-impl ViewSource<'_> {
+impl<'a> ViewSource<'a> {
     /// At the level of what was measured, else at that whose pixels are not much finer than the
     /// voxels will be.
-    fn depth_map(&self, alpha: AlphaMode, resolution: u32) -> Option<DepthMap> {
+    fn depth_map(&self, alpha: AlphaMode, resolution: u32) -> Option<DepthMap<'a>> {
         // Twice as fine as voxels may be.
         let most = (2.0 * LIMITS.pixels_of_a_voxel * f64::from(resolution)) as usize;
         let levels = &self.view.levels;
         let pixels = match self.measured {
-            Some(m) => levels.iter().find(|p| p.width == m.width && p.width * p.height == m.depth.len())?,
+            Some(m) => levels.iter().find(|p| [p.width, p.height] == m.size)?,
             None => levels.iter().find(|p| p.width.max(p.height) <= most).or(levels.last())?,
         };
         let camera = self.view.camera.scaled(pixels.width as u32, pixels.height as u32);
         let mut depth =
             self.splat_depth(&camera).unwrap_or_else(|| vec![f32::NAN; pixels.width * pixels.height]);
-        for (z, &known) in depth.iter_mut().zip(self.measured.map_or(&[][..], |m| &m.depth)) {
-            if known > 0.0 {
-                *z = joined(*z, (f64::from(known) * self.scale) as f32);
-            }
+        for (i, known) in self.measured.iter().flat_map(|m| m.known()) {
+            depth[i] = joined(depth[i], (f64::from(known) * self.scale) as f32);
         }
         blank(&mut depth, pixels, alpha);
-        Some(DepthMap { camera, pose: self.pose, depth, outline: Vec::new(), rgb: pixels.rgb.clone() })
+        Some(DepthMap { camera, pose: self.pose, depth, outline: Vec::new(), rgb: (&pixels.rgb).into() })
     }
 
     fn splat_depth(&self, camera: &Camera) -> Option<Vec<f32>> {
@@ -247,12 +223,6 @@ impl ViewSource<'_> {
         let depth = median_depth(gaussians, camera, &self.pose, near, antialias);
         Some(depth.into_iter().map(|z| z.map_or(f32::NAN, |z| z as f32)).collect())
     }
-}
-
-/// The depth by stereo, but where the splat lies well before it: there the photos of a blank face
-/// have deceived stereo. NaN of the splat is nothing.
-fn joined(splat: f32, stereo: f32) -> f32 {
-    if splat < stereo * (1.0 - LIMITS.seen_through) { splat } else { stereo }
 }
 
 /// What a black mask says of the depths: nothing, or that the ray is empty (less surely so near to
@@ -288,24 +258,24 @@ fn near_white(mask: &[u8], width: usize) -> Vec<bool> {
 }
 
 /// Finds the parts of a map that are thinner than the truncation, pixels.
-fn outline(map: &mut DepthMap, truncation: f64) {
+fn outline(map: &mut DepthMap<'_>, truncation: f64) {
     let white: Vec<bool> = map.depth.iter().map(|z| !z.is_infinite()).collect();
     map.outline = thin_parts(&white, map.camera.width as usize, truncation / 2.0);
 }
 
 /// The points of every map; their number a map is bounded.
-fn points(maps: &[DepthMap]) -> Vec<DVec3> {
+fn points(maps: &[DepthMap<'_>]) -> Vec<DVec3> {
     maps.par_iter().flat_map_iter(points_of_map).collect()
 }
 
-fn points_of_map(map: &DepthMap) -> Vec<DVec3> {
+fn points_of_map(map: &DepthMap<'_>) -> Vec<DVec3> {
     let world_from_cam = map.pose.inverse();
     let step = map.depth.len().div_ceil(LIMITS.points_of_a_map).max(1);
     (0..map.depth.len()).step_by(step).filter_map(|i| map.point(i, &world_from_cam)).collect()
 }
 
 /// Without mattes the object is what lies around the middle, as far as the cameras are from it.
-fn crop(maps: &mut [DepthMap]) {
+fn crop(maps: &mut [DepthMap<'_>]) {
     let points = points(maps);
     let [x, y, z] = [0, 1, 2].map(|axis| median(points.iter().map(|p| p[axis]).collect()));
     let (Some(x), Some(y), Some(z)) = (x, y, z) else { return };
@@ -327,7 +297,7 @@ fn crop(maps: &mut [DepthMap]) {
 }
 
 /// Longest side of the box around what was measured but for its tails; 0 where that is nothing.
-fn extent(maps: &[DepthMap]) -> f64 {
+fn extent(maps: &[DepthMap<'_>]) -> f64 {
     let points = points(maps);
     (0..3)
         .filter_map(|axis| {
@@ -338,7 +308,7 @@ fn extent(maps: &[DepthMap]) -> f64 {
 }
 
 /// Side of a pixel on the surface, median over the views.
-fn pixel(maps: &[DepthMap]) -> f64 {
+fn pixel(maps: &[DepthMap<'_>]) -> f64 {
     let sizes = maps.iter().filter_map(|map| {
         let seen = map.depth.iter().filter(|z| **z > 0.0 && z.is_finite()).map(|z| f64::from(*z)).collect();
         Some(median(seen)? / map.camera.mean_focal())
@@ -349,12 +319,6 @@ fn pixel(maps: &[DepthMap]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn stereo_counts_unless_it_looks_through_the_splat() {
-        assert_eq!([joined(f32::NAN, 2.0), joined(2.5, 2.0), joined(1.99, 2.0)], [2.0; 3]);
-        assert_eq!(joined(1.5, 2.0), 1.5);
-    }
 
     #[test]
     fn the_margin_of_a_matte_is_a_square_and_ends_at_the_border() {

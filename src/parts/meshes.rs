@@ -113,7 +113,7 @@ fn measured(
     let both = shown.iter().zip(&stereo).zip(&dataset.views).map(|((s, stereo), view)| {
         let own = s.depth.iter().zip(&s.owner);
         let depth = own.map(|(z, owner)| if *owner == number { *z } else { 0.0 }).collect();
-        MeasuredDepth { width: view.camera.width as usize, depth }.joined(stereo)
+        MeasuredDepth::whole(view.camera.width as usize, depth).joined(stereo)
     });
     Ok(both.collect())
 }

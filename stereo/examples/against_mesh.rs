@@ -139,7 +139,7 @@ impl Truth {
         let step = (points.len() / 200_000).max(1);
         let points: Vec<DVec3> =
             points.iter().step_by(step).map(|p| self.mesh_from_model.transform(*p)).collect();
-        let Some(e) = compare_points(&points, &self.mesh, &self.surface, 1.0) else { return };
+        let Some(e) = compare_points(&points, &self.mesh, &self.surface, &[], 1.0) else { return };
         println!(
             "{name}: accuracy {:.3} / {:.3} %, completeness {:.3} / {:.3} %, precision {:.1} %, recall {:.1} %, F-score {:.1} %, at half the distance {:.1} %",
             e.accuracy_mean_pct,

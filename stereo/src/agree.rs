@@ -36,28 +36,30 @@ pub(crate) fn meeting(pixel: [f32; 2], z: f32, pair: &Pair, other: &PlaneField) 
     Some(Meeting { index, off_px, off_depth: (depth / z - 1.0).abs() })
 }
 
-/// The fields with those depths only on which enough other views agree.
-pub(crate) fn filtered(
-    fields: &[PlaneField],
-    pairs: &[Vec<Pair>],
-    settings: &StereoSettings,
-) -> Vec<PlaneField> {
-    fields.par_iter().zip(pairs).map(|(field, pairs)| kept(field, pairs, fields, settings)).collect()
+/// Leaves only those depths on which enough other views agree.
+pub(crate) fn filter(fields: &mut [PlaneField], pairs: &[Vec<Pair>], settings: &StereoSettings) {
+    let all = &*fields;
+    let counts: Vec<Vec<u8>> =
+        all.par_iter().zip(pairs).map(|(field, pairs)| agreeing(field, pairs, all, settings)).collect();
+    for (field, counts) in fields.iter_mut().zip(counts) {
+        field.agreeing = counts;
+        for ((z, &count), &cost) in field.depth.iter_mut().zip(&field.agreeing).zip(&field.cost) {
+            if count < settings.agreeing || !(cost < settings.most_cost) {
+                *z = 0.0;
+            }
+        }
+    }
 }
 
-fn kept(field: &PlaneField, pairs: &[Pair], fields: &[PlaneField], settings: &StereoSettings) -> PlaneField {
-    let mut kept = field.clone();
-    for i in 0..field.depth.len() {
+/// How many other views agree with each pixel of a field.
+fn agreeing(field: &PlaneField, pairs: &[Pair], fields: &[PlaneField], settings: &StereoSettings) -> Vec<u8> {
+    let of_pixel = |i: usize| {
         let (x, y) = field.place(i);
         let pixel = [x as f32 + 0.5, y as f32 + 0.5];
         let z = field.depth[i];
         let meets =
             |p: &&Pair| meeting(pixel, z, p, &fields[p.view]).is_some_and(|m| m.is_near(&settings.tolerance));
-        let count = if z > 0.0 { pairs.iter().filter(meets).count() } else { 0 };
-        kept.agreeing[i] = count.min(255) as u8;
-        if kept.agreeing[i] < settings.agreeing || !(field.cost[i] < settings.most_cost) {
-            kept.depth[i] = 0.0;
-        }
-    }
-    kept
+        if z > 0.0 { pairs.iter().filter(meets).count().min(255) as u8 } else { 0 }
+    };
+    (0..field.depth.len()).map(of_pixel).collect()
 }

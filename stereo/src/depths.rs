@@ -6,7 +6,7 @@ use crate::hull::HullField;
 use crate::level::LevelImage;
 use crate::neighbours::Layout;
 use crate::pair::Pair;
-use crate::seen_through::without_seen_through;
+use crate::seen_through::drop_seen_through;
 use crate::settings::{StereoSettings, Tolerance};
 use crate::sweep::{Job, ViewJob, swept};
 use crate::view::{StereoError, check};
@@ -59,8 +59,8 @@ pub fn dense_depths(
             fields = next.collect::<Result<_, _>>()?;
         }
     }
-    let fields = agree::filtered(&fields, &pairs, settings);
-    let mut fields = without_seen_through(&fields, views, settings);
+    agree::filter(&mut fields, &pairs, settings);
+    drop_seen_through(&mut fields, views, settings);
     fields.iter_mut().flat_map(|f| &mut f.normal).for_each(|n| *n = rounded(*n));
     Ok(DenseDepths::new(fields, pairs, settings))
 }

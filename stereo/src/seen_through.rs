@@ -20,24 +20,24 @@ enum Witness {
     Silent,
 }
 
-/// The fields without the depths that more views look through than meet.
-pub(crate) fn without_seen_through(
-    fields: &[PlaneField],
-    views: &[PosedPhoto],
-    settings: &StereoSettings,
-) -> Vec<PlaneField> {
+/// Leaves out the depths that more views look through than meet.
+pub(crate) fn drop_seen_through(fields: &mut [PlaneField], views: &[PosedPhoto], settings: &StereoSettings) {
     let step = fields.len().div_ceil(settings.witnesses.max(1)).max(1);
-    (0..fields.len()).into_par_iter().map(|at| solid(at, fields, views, step, settings)).collect()
+    let all = &*fields;
+    let solid: Vec<Vec<f32>> =
+        (0..all.len()).into_par_iter().map(|at| solid(at, all, views, step, settings)).collect();
+    fields.iter_mut().zip(solid).for_each(|(field, depth)| field.depth = depth);
 }
 
+/// The depths of a view that other views do not look through.
 fn solid(
     at: usize,
     fields: &[PlaneField],
     views: &[PosedPhoto],
     step: usize,
     settings: &StereoSettings,
-) -> PlaneField {
-    let mut field = fields[at].clone();
+) -> Vec<f32> {
+    let field = &fields[at];
     let mut balance = vec![0_i32; field.depth.len()];
     for other in (0..fields.len()).skip(at % step).step_by(step).filter(|&other| other != at) {
         let relative = views[other].pose.compose(&views[at].pose.inverse());
@@ -52,8 +52,7 @@ fn solid(
             };
         }
     }
-    field.depth.iter_mut().zip(balance).filter(|(_, sum)| *sum < 0).for_each(|(z, _)| *z = 0.0);
-    field
+    field.depth.iter().zip(balance).map(|(z, sum)| if sum < 0 { 0.0 } else { *z }).collect()
 }
 
 impl PlaneField {

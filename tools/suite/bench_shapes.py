@@ -35,15 +35,20 @@ def run(args, capture, folder):
             "geometry": evaluation.get("geometry", {}), "psnr": evaluation.get("psnr")}
 
 
+def thin(geometry):
+    found = geometry.get("thin_recall_pct")
+    return "–" if found is None else f"{found:.1f}"
+
+
 def show(results):
-    print("| capture | half | surface | F-score at 1 %, at 0.5 % | precision, recall at 1 % | accuracy, completeness, % | wall s |")
-    print("|---|---|---|---|---|---|---|")
+    print("| capture | half | surface | F-score at 1 %, at 0.5 % | precision, recall at 1 % | rods and edges of sheets, % | accuracy, completeness, % | wall s |")
+    print("|---|---|---|---|---|---|---|---|")
     for r in results:
         for name, key in SURFACES:
             g = r["geometry"].get(key)
             if g:
                 print(f"| {r['name']} | {r['half']} | {name} | {g['f_score_pct']:.1f}, {g.get('f_score_half_pct', float('nan')):.1f} | "
-                      f"{g['precision_pct']:.1f}, {g['recall_pct']:.1f} | {g['accuracy_mean_pct']:.3f}, "
+                      f"{g['precision_pct']:.1f}, {g['recall_pct']:.1f} | {thin(g)} | {g['accuracy_mean_pct']:.3f}, "
                       f"{g['completeness_mean_pct']:.3f} | {r['wall_s']:.0f} |")
 
 

@@ -2,10 +2,11 @@
 
 use crate::{Camera, Pose};
 use glam::{DVec2, DVec3};
+use std::borrow::Cow;
 
 /// What a camera without distortion measured.
 #[derive(Clone, Debug)]
-pub struct DepthMap {
+pub struct DepthMap<'a> {
     /// Of the map's size.
     pub camera: Camera,
     /// `cam_from_world`.
@@ -18,10 +19,10 @@ pub struct DepthMap {
     /// sides apart, negative inside it; NaN elsewhere. Empty where there are none.
     pub outline: Vec<f32>,
     /// [height × width × 3] sRGB.
-    pub rgb: Vec<u8>,
+    pub rgb: Cow<'a, [u8]>,
 }
 
-impl DepthMap {
+impl DepthMap<'_> {
     /// The point measured at pixel `i`, world frame.
     pub fn point(&self, i: usize, world_from_cam: &Pose) -> Option<DVec3> {
         let z = f64::from(self.depth[i]);

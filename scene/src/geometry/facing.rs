@@ -16,7 +16,7 @@ const PLANE_PX: f64 = 0.3;
 
 /// [height × width] cosine of the angle between each ray and the normal of the surface that it
 /// meets, times 255; 255 where the depths around it are on no plane.
-pub(super) fn cosines(map: &DepthMap) -> Vec<u8> {
+pub(super) fn cosines(map: &DepthMap<'_>) -> Vec<u8> {
     let of = |i: usize| {
         cosine(map, i).map_or(u8::MAX, |c| (f64::from(u8::MAX) * c.clamp(LEAST_COSINE, 1.0)) as u8)
     };
@@ -49,7 +49,7 @@ impl PlaneSums {
 }
 
 /// Of one pixel; `None` where the depths around it are on no plane.
-fn cosine(map: &DepthMap, i: usize) -> Option<f64> {
+fn cosine(map: &DepthMap<'_>, i: usize) -> Option<f64> {
     let width = map.camera.width as usize;
     let here = f64::from(map.depth[i]);
     if !(here > 0.0 && here.is_finite()) {
@@ -83,7 +83,7 @@ mod tests {
     use crate::{Camera, CameraModel, Pose};
 
     /// A camera that looks along a plane from 1 above it, this steeply, degrees.
-    fn plane(down_deg: f64, size: f64) -> DepthMap {
+    fn plane(down_deg: f64, size: f64) -> DepthMap<'static> {
         let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 100.0);
         let (sin, cos) = down_deg.to_radians().sin_cos();
         let depth = (0..64 * 48).map(|i| {
@@ -93,10 +93,16 @@ mod tests {
             if down > 0.0 { (size / down) as f32 } else { f32::INFINITY }
         });
         let depth: Vec<f32> = depth.collect();
-        DepthMap { camera, pose: Pose::IDENTITY, depth, outline: Vec::new(), rgb: vec![0; 64 * 48 * 3] }
+        DepthMap {
+            camera,
+            pose: Pose::IDENTITY,
+            depth,
+            outline: Vec::new(),
+            rgb: vec![0; 64 * 48 * 3].into(),
+        }
     }
 
-    fn middle(map: &DepthMap) -> f64 {
+    fn middle(map: &DepthMap<'_>) -> f64 {
         f64::from(cosines(map)[24 * 64 + 32]) / 255.0
     }
 

@@ -83,7 +83,11 @@ pub enum FusionError {
 
 /// The surface that the depth maps agree on, with colours at its vertices; no triangles where there
 /// is none. The same for any number of threads.
-pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> Result<Mesh, FusionError> {
+pub fn fuse(
+    maps: &[DepthMap<'_>],
+    options: &FusionOptions,
+    progress: &Progress,
+) -> Result<Mesh, FusionError> {
     let (mut places, mut aslant) = (BTreeSet::new(), Vec::with_capacity(maps.len()));
     progress.begin("find the surface", maps.len());
     for map in maps {
@@ -122,7 +126,7 @@ fn blocks_around(p: DVec3, margin: f64) -> Option<(IVec3, IVec3)> {
 }
 
 /// The blocks around what a map measured.
-fn touched(map: &DepthMap, options: &FusionOptions) -> BTreeSet<[i32; 3]> {
+fn touched(map: &DepthMap<'_>, options: &FusionOptions) -> BTreeSet<[i32; 3]> {
     let world_from_cam = map.pose.inverse();
     let block = options.voxel * f64::from(SIDE);
     let margin = (MARGIN + options.thicken) / f64::from(SIDE);
@@ -149,7 +153,7 @@ fn touched(map: &DepthMap, options: &FusionOptions) -> BTreeSet<[i32; 3]> {
 }
 
 impl FusionBlock {
-    fn fused(at: [i32; 3], maps: &[(&DepthMap, Vec<u8>)], options: &FusionOptions) -> Self {
+    fn fused(at: [i32; 3], maps: &[(&DepthMap<'_>, Vec<u8>)], options: &FusionOptions) -> Self {
         let (views, colour) = (vec![0; VOXELS], vec![[0.0; 4]; VOXELS]);
         let mut block = Self { at, distance: vec![0.0; VOXELS], weight: vec![0.0; VOXELS], views, colour };
         maps.iter().for_each(|(map, cosines)| block.add(map, cosines, options));
@@ -157,7 +161,7 @@ impl FusionBlock {
     }
 
     /// The running mean with what one view says of every voxel; `cosines` are the map's.
-    fn add(&mut self, map: &DepthMap, cosines: &[u8], options: &FusionOptions) {
+    fn add(&mut self, map: &DepthMap<'_>, cosines: &[u8], options: &FusionOptions) {
         let side = f64::from(SIDE);
         let voxel = options.voxel;
         let centre = DVec3::from(self.at.map(|v| (f64::from(v) + 0.5) * side - 0.5)) * voxel;
@@ -324,7 +328,7 @@ mod tests {
 
     /// The unit sphere (times `scale`) at `centre`, red where x > 0 and green elsewhere, seen from
     /// this direction.
-    fn sphere(from: DVec3, scale: f64, centre: DVec3) -> DepthMap {
+    fn sphere(from: DVec3, scale: f64, centre: DVec3) -> DepthMap<'static> {
         let camera = Camera::centred(1, CameraModel::Pinhole, 200, 160, 220.0);
         let pose = Pose::look_at(centre + from.normalize() * 4.0 * scale, centre, DVec3::new(0.1, 0.2, 1.0));
         let world_from_cam = pose.inverse();
@@ -341,10 +345,10 @@ mod tests {
             let x = world_from_cam.transform(ray * t).x - centre.x;
             rgb.extend(if x > 0.0 { [200, 0, 0] } else { [0, 100, 0] });
         }
-        DepthMap { camera, pose, depth, outline: Vec::new(), rgb }
+        DepthMap { camera, pose, depth, outline: Vec::new(), rgb: rgb.into() }
     }
 
-    fn around(scale: f64, centre: DVec3) -> Vec<DepthMap> {
+    fn around(scale: f64, centre: DVec3) -> Vec<DepthMap<'static>> {
         let corners =
             (0..8).map(|c| DVec3::from([0, 1, 2].map(|k| if c >> k & 1 == 1 { 1.0 } else { -1.0 })));
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|a| [a, -a]);
@@ -361,7 +365,7 @@ mod tests {
         }
     }
 
-    fn fused(maps: &[DepthMap], scale: f64) -> Mesh {
+    fn fused(maps: &[DepthMap<'_>], scale: f64) -> Mesh {
         fuse(maps, &options(scale), &Progress::silent()).unwrap()
     }
 
@@ -400,7 +404,7 @@ mod tests {
     }
 
     /// A plate of side 2 in the plane z = 0, seen from here; depths are `error` too large.
-    fn plate(from: DVec3, error: f64) -> DepthMap {
+    fn plate(from: DVec3, error: f64) -> DepthMap<'static> {
         let mut map = sphere(from, 1.0, DVec3::ZERO);
         let world_from_cam = map.pose.inverse();
         for (i, depth) in map.depth.iter_mut().enumerate() {

@@ -31,6 +31,10 @@ pub struct GeometryErrors {
     /// The same at half the threshold.
     #[serde(default)]
     pub f_score_half_pct: f64,
+    /// The recall at the threshold of what is thin alone ([`super::thin_parts`]); `None` where
+    /// nothing is.
+    #[serde(default)]
+    pub thin_recall_pct: Option<f64>,
     /// Mean of the two mean distances.
     pub chamfer_pct: f64,
     /// What counted as near, per cent of the size.
@@ -38,11 +42,13 @@ pub struct GeometryErrors {
 }
 
 /// Judges `points` against `mesh` (same frame and units). `surface`: points spread evenly over the
-/// part of the mesh that is to be found. `None` where either is empty or the mesh has no extent.
+/// part of the mesh that is to be found; `thin`: which of them are thin, empty where that is not asked.
+/// `None` where either is empty or the mesh has no extent.
 pub fn compare_points(
     points: &[DVec3],
     mesh: &Mesh,
     surface: &[DVec3],
+    thin: &[bool],
     threshold_pct: f64,
 ) -> Option<GeometryErrors> {
     let size = mesh.size();
@@ -62,6 +68,7 @@ pub fn compare_points(
         })
         .collect();
     let (precision, recall) = (within(&accuracy, threshold_pct), within(&completeness, threshold_pct));
+    let of_thin: Vec<f64> = completeness.iter().zip(thin).filter(|(_, t)| **t).map(|(c, _)| *c).collect();
     let half = threshold_pct / 2.0;
     let f_score_half = harmonic_mean(within(&accuracy, half), within(&completeness, half));
     let (accuracy_mean, completeness_mean) = (mean(&accuracy), mean(&completeness));
@@ -75,6 +82,7 @@ pub fn compare_points(
         recall_pct: recall,
         f_score_pct: harmonic_mean(precision, recall),
         f_score_half_pct: f_score_half,
+        thin_recall_pct: (!of_thin.is_empty()).then(|| within(&of_thin, threshold_pct)),
         chamfer_pct: (accuracy_mean + completeness_mean) / 2.0,
         threshold_pct,
     })
@@ -118,12 +126,12 @@ mod tests {
         let surface = mesh.sample(5000, 1);
         let height = 0.005 * mesh.size();
         let lifted: Vec<DVec3> = surface.iter().map(|p| *p + DVec3::Z * height).collect();
-        let errors = compare_points(&lifted, &mesh, &surface, 1.0).unwrap();
+        let errors = compare_points(&lifted, &mesh, &surface, &[], 1.0).unwrap();
         for value in [errors.accuracy_mean_pct, errors.completeness_median_pct, errors.chamfer_pct] {
             assert!((value - 0.5).abs() < 1e-9, "{errors:?}");
         }
         assert_eq!((errors.precision_pct, errors.recall_pct, errors.f_score_pct), (100.0, 100.0, 100.0));
-        let nothing_near = compare_points(&lifted, &mesh, &surface, 0.4).unwrap();
+        let nothing_near = compare_points(&lifted, &mesh, &surface, &[], 0.4).unwrap();
         assert_eq!((nothing_near.precision_pct, nothing_near.f_score_pct), (0.0, 0.0));
     }
 
@@ -134,7 +142,9 @@ mod tests {
         let mut points: Vec<DVec3> = surface.iter().copied().filter(|p| p.x < 1.0).collect();
         let half = points.len();
         points.extend((0..half / 3).map(|_| DVec3::new(1.0, 1.0, 1.0)));
-        let errors = compare_points(&points, &mesh, &surface, 1.0).unwrap();
+        let left: Vec<bool> = surface.iter().map(|p| p.x < 1.0).collect();
+        let errors = compare_points(&points, &mesh, &surface, &left, 1.0).unwrap();
+        assert_eq!(errors.thin_recall_pct, Some(100.0));
         assert!((errors.precision_pct - 75.0).abs() < 0.1, "{errors:?}");
         // The threshold reaches 0.028 beyond the middle of 2.
         assert!((errors.recall_pct - 51.4).abs() < 1.0, "{errors:?}");
@@ -148,7 +158,7 @@ mod tests {
         let (mesh, n) = (sphere(64), 4000);
         let surface = mesh.sample(n, 2);
         let larger: Vec<DVec3> = surface.iter().map(|p| p.normalize() * 1.1).collect();
-        let errors = compare_points(&larger, &mesh, &surface, 1.0).unwrap();
+        let errors = compare_points(&larger, &mesh, &surface, &[], 1.0).unwrap();
         let expected = 100.0 * 0.1 / mesh.size();
         assert!((errors.accuracy_mean_pct - expected).abs() < 0.03 * expected, "{errors:?}");
         assert!((errors.completeness_mean_pct - expected).abs() < 0.06 * expected, "{errors:?}");
@@ -157,9 +167,9 @@ mod tests {
     #[test]
     fn nothing_to_compare_is_a_value() {
         let mesh = square();
-        assert_eq!(compare_points(&[], &mesh, &mesh.sample(10, 0), 1.0), None);
-        assert_eq!(compare_points(&[DVec3::NAN], &mesh, &mesh.sample(10, 0), 1.0), None);
-        assert_eq!(compare_points(&[DVec3::ZERO], &Mesh::default(), &[], 1.0), None);
+        assert_eq!(compare_points(&[], &mesh, &mesh.sample(10, 0), &[], 1.0), None);
+        assert_eq!(compare_points(&[DVec3::NAN], &mesh, &mesh.sample(10, 0), &[], 1.0), None);
+        assert_eq!(compare_points(&[DVec3::ZERO], &Mesh::default(), &[], &[], 1.0), None);
     }
 
     /// The unit sphere by longitude and latitude.

@@ -10,6 +10,7 @@ mod metrics;
 mod parts;
 mod settle;
 mod textured;
+mod thin;
 mod visible;
 
 pub use depth_map::DepthMap;
@@ -18,4 +19,5 @@ pub use mesh::{Mesh, Surface};
 pub use metrics::{GeometryErrors, compare_points};
 pub use parts::JoinedSets;
 pub use textured::TexturedMesh;
+pub use thin::thin_parts;
 pub use visible::{DepthView, seen_by};

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 /// Moves the vertices, which lie about `nearer` before what was measured (scene units, as is
 /// `voxel`); what no view sees there, give or take it and half a voxel, goes with its neighbours,
 /// or stays.
-pub(super) fn settle(mesh: &mut Mesh, maps: &[DepthMap], nearer: f64, voxel: f64) {
+pub(super) fn settle(mesh: &mut Mesh, maps: &[DepthMap<'_>], nearer: f64, voxel: f64) {
     let normals = mesh.normals();
     let centres: Vec<DVec3> = maps.iter().map(|map| map.pose.inverse().translation).collect();
     // Weighted sums of distances along the normal, and their weights.
@@ -45,7 +45,7 @@ pub(super) fn settle(mesh: &mut Mesh, maps: &[DepthMap], nearer: f64, voxel: f64
 }
 
 /// How far a point lies before the surface that the map measured at its pixel, along the ray.
-fn before(map: &DepthMap, point: DVec3) -> Option<f64> {
+fn before(map: &DepthMap<'_>, point: DVec3) -> Option<f64> {
     let p = map.pose.transform(point);
     let pixel = map.camera.focal() * p.truncate() / p.z + map.camera.principal_point();
     let size = DVec2::new(f64::from(map.camera.width), f64::from(map.camera.height));
@@ -58,7 +58,7 @@ fn before(map: &DepthMap, point: DVec3) -> Option<f64> {
 
 /// The depth at a place of the picture, between the four pixels around it where all are known, else
 /// that of its pixel.
-fn depth_at(map: &DepthMap, place: DVec2) -> f64 {
+fn depth_at(map: &DepthMap<'_>, place: DVec2) -> f64 {
     let (width, height) = (map.camera.width as usize, map.camera.height as usize);
     let of = |x: usize, y: usize| f64::from(map.depth[y * width + x]);
     let corner = (place - 0.5).max(DVec2::ZERO);
