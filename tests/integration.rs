@@ -13,6 +13,7 @@ mod integration {
     pub mod faults;
     pub mod handover;
     pub mod methods;
+    pub mod moving_parts;
     pub mod packages;
     pub mod python;
     pub mod real_data;

@@ -1,7 +1,7 @@
 //! What speaks for one chain against another: which joints there are, and what they have in common.
 
 use super::chain::{Chain, Tie};
-use super::limits::{HOPELESS, SIMPLER, TOLERANCES};
+use super::limits::{HOPELESS, LEAST_TRACKS, SIMPLER, TOLERANCES};
 use super::posed::PosedFrame;
 use super::steadiness::ChainNoise;
 use super::tracks::SortedTracks;
@@ -34,21 +34,42 @@ impl<'t> Contest<'t> {
     /// Whether a chain, adjusted to the tracks that it explains itself, has more evidence than the
     /// best so far, which it then is.
     pub(super) fn enter(&mut self, start: &Chain) -> bool {
-        self.favoured(start, 0.0)
+        self.favoured(start, 0.0, 0)
     }
 
-    /// The same of a chain that says less, and is preferred therefore.
-    fn favoured(&mut self, start: &Chain, by: f64) -> bool {
+    /// The same of a chain that says less, and is preferred therefore: by so much evidence, or if it
+    /// explains at most `lost` tracks fewer.
+    fn favoured(&mut self, start: &Chain, by: f64, lost: usize) -> bool {
+        let enough = |own: &Self, chain: &Chain| {
+            lost > 0 && own.explained(chain).len() + lost >= own.explained(&own.best).len()
+        };
         let (near, hope) = self.adjusted(start, TOLERANCES[0]);
-        if hope < self.evidence - HOPELESS {
+        if hope < self.evidence - HOPELESS && !enough(self, &near) {
             return false;
         }
         let (found, evidence) = self.adjusted(&near, TOLERANCES[1]);
-        let wins = evidence > self.evidence - by;
+        let wins = evidence > self.evidence - by || enough(self, &found);
         if wins {
             (self.best, self.evidence) = (found, evidence);
         }
         wins
+    }
+
+    /// The tracks that a chain explains: of each the joint.
+    fn explained(&self, chain: &Chain) -> Vec<Option<usize>> {
+        let frames = chain.posed();
+        let members = self.sorted(&frames).members(&chain.joints, &chain.times);
+        members.iter().map(|m| m.joint).collect()
+    }
+
+    /// How many of a joint's tracks may be wrong: fewer than make a part, or the share of all tracks
+    /// that nothing explains. Such run along the outline of what lies before them, and a joint whose
+    /// angle is free can follow a few of them, each of which counts as much as a good one.
+    fn wrong_tracks(&self, joint: usize) -> usize {
+        let explained = self.explained(&self.best);
+        let own = explained.iter().filter(|j| **j == Some(joint)).count();
+        let all = self.sorted(&self.best.posed()).all.len().max(1);
+        (own * (all - explained.len())).div_ceil(all).max(LEAST_TRACKS - 1)
     }
 
     /// A chain adjusted to the tracks that it explains, and the logarithm of its evidence.
@@ -74,7 +95,8 @@ impl<'t> Contest<'t> {
     pub(super) fn settled(mut self) -> Chain {
         let mut joint = 0;
         while joint < self.best.joints.len() {
-            if self.best.joints.len() == 1 || !self.favoured(&self.best.without(joint), SIMPLER) {
+            let lost = self.wrong_tracks(joint);
+            if self.best.joints.len() == 1 || !self.favoured(&self.best.without(joint), SIMPLER, lost) {
                 joint += 1;
             }
         }
@@ -95,7 +117,7 @@ impl<'t> Contest<'t> {
         let free = self.best.clone();
         let axis = Tie { axis_of: Some(leader), ratio: None };
         if free.ties[joint] != axis {
-            self.favoured(&free.tied(joint, axis), SIMPLER);
+            self.favoured(&free.tied(joint, axis), SIMPLER, 0);
         }
         let alike = [1.0, -1.0].into_iter().flat_map(|ratio| {
             let tie = Tie { ratio: Some(ratio), ..axis };
@@ -105,7 +127,7 @@ impl<'t> Contest<'t> {
         let alike = alike.flatten();
         let rated = alike.map(|chain| (self.misfit(&chain), chain));
         if let Some((_, best)) = rated.min_by(|a, b| a.0.total_cmp(&b.0)) {
-            self.favoured(&best, SIMPLER);
+            self.favoured(&best, SIMPLER, 0);
         }
     }
 }
