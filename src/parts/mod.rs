@@ -12,6 +12,7 @@ pub(crate) use record::{labels, read_moving};
 use crate::args::PartsArgs;
 use crate::outcome::Outcome;
 use crate::pipeline::folder::absolute_in;
+use crate::record::PoseSummary;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
 use anyhow::{Context, Result, bail};
 use scene::{FrameSet, Progress};
@@ -36,10 +37,13 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
         .with_context(|| format!("{} has no poses", run.display()))?;
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     let (mut found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
+    let poses = crate::stage::last::<PoseSummary>(run, "sfm")?;
+    found.poses_doubtful = poses.is_some_and(|p| p.value.doubt().is_some());
     let folder = args.output.clone().unwrap_or_else(|| run.join(FOLDER));
     let sparse = folder.join("sparse/0");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     scene::io::write_model_bin(&corrected, &sparse)?;
+    record::forget_splat(&folder);
     record::write(&folder, &found)?;
     if !json {
         print(&text(&found))?;
@@ -63,12 +67,15 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     if verbosity > Verbosity::Quiet {
         say(&format!("wrote {}", folder.display()));
     }
-    Ok(Outcome::Done)
+    Ok(if found.poses_doubtful { Outcome::Doubtful } else { Outcome::Done })
 }
 
 /// What was found, for people.
 fn text(found: &Articulation) -> String {
     let mut out = String::new();
+    if found.poses_doubtful {
+        out += "the run's poses are doubtful: what moves here may be their error\n";
+    }
     if found.parts.is_empty() {
         let _ = writeln!(out, "no part moves against the body: {} tracks follow it", found.tracks);
     }

@@ -14,6 +14,18 @@ pub(super) fn write(folder: &Path, found: &Articulation) -> Result<()> {
     write_json(&folder.join(RECORD), found)
 }
 
+/// Removes the splat and the meshes of parts that were found before: without their record they would
+/// look like something that stands still.
+pub(super) fn forget_splat(folder: &Path) {
+    let before = std::fs::read(folder.join(RECORD)).ok();
+    let before = before.and_then(|text| serde_json::from_slice::<Articulation>(&text).ok());
+    if before.is_some_and(|parts| !parts.gaussians.is_empty()) {
+        for name in ["splat.ply", "parts.glb"] {
+            std::fs::remove_file(folder.join(name)).ok();
+        }
+    }
+}
+
 /// The record of a folder with a splat `gaussians` whose parts move, if it is one.
 pub(crate) fn read_moving(folder: &Path, gaussians: &Gaussians) -> Result<Option<Articulation>> {
     let path = folder.join(RECORD);

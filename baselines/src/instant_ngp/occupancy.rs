@@ -3,7 +3,7 @@
 
 use super::settings::OccupancySettings;
 use crate::domain::Domain;
-use glam::Vec3;
+use glam::{UVec3, Vec3};
 use rayon::prelude::*;
 use splat::PinholeView;
 
@@ -11,6 +11,11 @@ use splat::PinholeView;
 pub(crate) const SIDE: usize = 128;
 /// Cells of a cascade.
 pub(crate) const CELLS: usize = SIDE * SIDE * SIDE;
+
+/// Cells along a side of a block. The inner cube of a cascade ends where blocks end.
+const BLOCK: usize = 8;
+/// Blocks along a side of a cascade.
+const BLOCKS: usize = SIDE / BLOCK;
 
 /// Densities by cell, and the cells that count as occupied.
 #[derive(Clone, Debug)]
@@ -20,6 +25,8 @@ pub(crate) struct Occupancy {
     /// Half a side of the smallest cube is ½ here: [cascades × CELLS], −1 where no camera looks.
     pub(crate) density: Vec<f32>,
     bits: Vec<u64>,
+    /// Which blocks hold an occupied cell: [cascades × BLOCKS³].
+    blocks: Vec<bool>,
 }
 
 /// A place along a ray, in the frame of the smallest cube (which is [0, 1]³).
@@ -51,10 +58,14 @@ pub(crate) struct March {
     left: usize,
 }
 
+/// Column, row and layer of a cell of a cascade, so many on each side.
+fn place_of(cell: usize, side: usize) -> [usize; 3] {
+    [cell % side, cell / side % side, cell / (side * side) % side]
+}
+
 /// Centre of a cell of a cascade, moved by `jitter` ∈ [−½, ½]³ cells.
 pub(crate) fn cell_point(cell: usize, jitter: [f32; 3]) -> [f32; 3] {
-    let (cascade, at) = (cell / CELLS, cell % CELLS);
-    let place = [at % SIDE, at / SIDE % SIDE, at / (SIDE * SIDE)];
+    let (cascade, place) = (cell / CELLS, place_of(cell, SIDE));
     let side = (1u32 << cascade) as f32;
     [0, 1, 2].map(|a| ((place[a] as f32 + 0.5 + jitter[a]) / SIDE as f32 - 0.5) * side + 0.5)
 }
@@ -68,12 +79,13 @@ impl Occupancy {
             .map(|cell| if is_seen(cell, domain, views) { 0.0 } else { -1.0 })
             .collect();
         let bits = vec![0; cascades as usize * CELLS / 64];
-        let mut new = Self { cascades, settings, density, bits };
+        let mut new = Self { cascades, settings, density, bits, blocks: Vec::new() };
         new.bits.iter_mut().enumerate().for_each(|(i, word)| {
             for bit in 0..64 {
                 *word |= u64::from(new.density[i * 64 + bit] >= 0.0) << bit;
             }
         });
+        new.mark_blocks();
         new
     }
 
@@ -89,6 +101,22 @@ impl Occupancy {
         self.bits.par_iter_mut().enumerate().for_each(|(i, word)| {
             *word = (0..64).map(|bit| u64::from(density[i * 64 + bit] > limit) << bit).sum();
         });
+        self.mark_blocks();
+    }
+
+    fn mark_blocks(&mut self) {
+        let bits = &self.bits;
+        let holds_some = |block: usize| {
+            let (cascade, [x, y, z]) = (block / BLOCKS.pow(3), place_of(block, BLOCKS));
+            let rows = (0..BLOCK * BLOCK).map(|row| {
+                let (y, z) = (y * BLOCK + row % BLOCK, z * BLOCK + row / BLOCK);
+                cascade * CELLS + x * BLOCK + SIDE * (y + SIDE * z)
+            });
+            // A row of a block lies in one word.
+            rows.into_iter().any(|cell| bits[cell / 64] >> (cell % 64) & 0xff != 0)
+        };
+        let blocks = 0..self.cascades as usize * BLOCKS.pow(3);
+        self.blocks = blocks.into_par_iter().map(holds_some).collect();
     }
 
     /// A side of the smallest cube in sides of the outermost.
@@ -136,26 +164,26 @@ impl Occupancy {
             let cascade = self.cascade(p, dt);
             let side = (1u32 << cascade) as f32;
             let in_cells = ((p - 0.5) / side + 0.5) * SIDE as f32;
-            let place = [0, 1, 2].map(|a| (in_cells[a].max(0.0) as usize).min(SIDE - 1));
-            let cell = cascade as usize * CELLS + place[0] + SIDE * (place[1] + SIDE * place[2]);
-            if self.is_occupied(cell) {
+            let place = in_cells.max(Vec3::ZERO).as_uvec3().min(UVec3::splat(SIDE as u32 - 1));
+            let [x, y, z] = place.to_array().map(|v| v as usize);
+            if self.is_occupied(cascade as usize * CELLS + x + SIDE * (y + SIDE * z)) {
                 let sample = Sample { position: p.to_array(), t: march.t, dt: dt * self.unit() };
                 march.t += dt;
                 march.left -= 1;
                 return Some(sample);
             }
-            // On by whole steps until past the wall of the cell.
-            let cell = side / SIDE as f32;
-            let mut wall = f32::INFINITY;
-            for a in 0..3 {
-                let ahead = if march.ray.direction[a] > 0.0 { 1.0 } else { 0.0 };
-                let distance = (place[a] as f32 + ahead - in_cells[a]) * cell * march.inverse[a];
-                if distance.is_finite() {
-                    wall = wall.min(distance.max(0.0));
-                }
-            }
-            let steps = (wall / dt).floor() + 1.0;
-            march.t += if steps.is_finite() { steps * dt } else { dt };
+            let block = x / BLOCK + BLOCKS * (y / BLOCK + BLOCKS * (z / BLOCK));
+            let holds_some = self.blocks[cascade as usize * BLOCKS.pow(3) + block];
+            let cells = if holds_some { 1 } else { BLOCK as u32 };
+            // On by whole steps until past the wall of the cell or the block.
+            let low = (place / cells * cells).as_vec3();
+            let ahead =
+                Vec3::select(march.ray.direction.cmpgt(Vec3::ZERO), Vec3::splat(cells as f32), Vec3::ZERO);
+            let distance = (low + ahead - in_cells) * (side / SIDE as f32) * march.inverse;
+            let distance = Vec3::select(distance.is_finite_mask(), distance.max(Vec3::ZERO), Vec3::INFINITY);
+            let steps = distance.min_element() / dt;
+            // Beyond 2³² there is nothing, and nothing to go on to.
+            march.t += dt * (steps as u32 as f32 + 1.0);
         }
         None
     }
@@ -167,10 +195,16 @@ impl Occupancy {
             return 0;
         }
         let reach = (p - 0.5).abs().max_element() * 2.0;
-        let by_place = reach.max(1.0).log2().ceil();
-        let by_step = (dt * SIDE as f32).max(1.0).log2().ceil();
-        (by_place.max(by_step) as u32).min(self.cascades - 1)
+        doublings(reach.max(dt * SIDE as f32)).min(self.cascades - 1)
     }
+}
+
+/// How often 1 is doubled until it is at least `v`.
+#[inline(always)]
+fn doublings(v: f32) -> u32 {
+    // The exponent, one more where there is a fraction behind it.
+    let bits = v.max(1.0).to_bits();
+    (bits >> 23) - 127 + u32::from(bits & 0x7f_ffff != 0)
 }
 
 /// Whether some camera may see a part of a cell.
@@ -194,4 +228,53 @@ fn near_frustum(view: &PinholeView, centre: Vec3, radius: f32) -> bool {
     ![(-c.x, left), (c.x, right), (-c.y, up), (c.y, down)]
         .iter()
         .any(|(along, slope)| along - slope * c.z > radius * (1.0 + slope * slope).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::Rng as _;
+
+    #[test]
+    fn no_step_in_an_occupied_cell_is_skipped() {
+        let domain = Domain { centre: Vec3::ZERO, half: 1.0, cascades: 1 };
+        let mut occupancy = Occupancy::new(&domain, OccupancySettings::default(), &[]);
+        let mut random = scene::rng::rng(3, "occupancy", 0);
+        // Most blocks hold nothing, some a few cells, some are full.
+        let blocks: Vec<f64> = (0..BLOCKS.pow(3)).map(|_| random.random::<f64>() - 0.7).collect();
+        let cells = (0..CELLS).map(|cell| {
+            let [x, y, z] = place_of(cell, SIDE).map(|v| v / BLOCK);
+            let full = random.random::<f64>() < 4.0 * blocks[x + BLOCKS * (y + BLOCKS * z)];
+            if full { 2.0 } else { 0.0 }
+        });
+        occupancy.set_density(cells.collect());
+        for _ in 0..200 {
+            let [a, b] = [(); 2].map(|()| Vec3::from([(); 3].map(|()| random.random::<f32>())));
+            let ray = LocalRay { origin: a * 4.0 - 1.5, direction: (b - a * 4.0 + 1.5).normalize() };
+            let mut march = occupancy.march(ray, 0.5);
+            let (begin, end, dt) = (march.t, march.end, occupancy.step(0.0));
+            let found: Vec<f32> = std::iter::from_fn(|| occupancy.next(&mut march)).map(|s| s.t).collect();
+            let all = (0..).map(|k| begin + k as f32 * dt).take_while(|t| *t < end - 1e-4);
+            let expected = all.filter(|t| {
+                // What lies on a wall may be on either side.
+                let on_either_side = [-1e-4, 1e-4].map(|off| {
+                    let place = (ray.origin + ray.direction * (t + off)) * SIDE as f32;
+                    let [x, y, z] =
+                        place.clamp(Vec3::ZERO, Vec3::splat(127.0)).to_array().map(|v| v as usize);
+                    occupancy.is_occupied(x + SIDE * (y + SIDE * z))
+                });
+                on_either_side == [true; 2]
+            });
+            for t in expected.take(occupancy.settings.most) {
+                let nearest = found.iter().map(|f| (f - t).abs()).fold(f32::INFINITY, f32::min);
+                assert!(nearest < 1e-4, "{ray:?}: nothing at {t} (nearest {nearest})");
+            }
+        }
+    }
+
+    #[test]
+    fn doublings_reach_a_number() {
+        let of = [0.3, 1.0, 1.1, 2.0, 2.1, 4.0, 100.0].map(doublings);
+        assert_eq!(of, [0, 0, 1, 1, 2, 2, 7]);
+    }
 }

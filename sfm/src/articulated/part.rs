@@ -50,6 +50,9 @@ pub struct Articulation {
     /// splat's order; none without a splat.
     #[serde(default)]
     pub gaussians: Vec<usize>,
+    /// Whether the poses are doubtful from which all this follows: what moves may be their error.
+    #[serde(default)]
+    pub poses_doubtful: bool,
 }
 
 impl Articulation {
