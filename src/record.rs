@@ -65,6 +65,14 @@ impl PoseSummary {
         self.decisions.iter().find(|d| d.is_doubt())
     }
 
+    /// How probably the model is right where it is to be doubted, else 1.
+    pub(crate) fn probability(&self) -> f64 {
+        match self.doubt().map(|d| &d.choice) {
+            Some(scene::decision::Choice::Value(found)) => found.value,
+            _ => 1.0,
+        }
+    }
+
     /// How the search for poses ended.
     pub(crate) fn outcome(&self) -> Outcome {
         match (&self.no_model, self.doubt()) {

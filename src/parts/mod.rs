@@ -22,6 +22,11 @@ use std::fmt::Write as _;
 /// What is written, in a run's folder.
 const FOLDER: &str = "parts";
 
+/// Probability of the poses from which on parts are looked for. Source: more probably right than
+/// wrong. Parts that move make poses less probable: 0.5 to 0.9 on three of eight films
+/// (docs/decisions/22).
+const PROBABLE: f64 = 0.5;
+
 /// Looks for parts in the frames of a run.
 pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
     let run = &args.run;
@@ -36,9 +41,14 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     let model = scene::io::read_model(&run.join("sparse/0"))
         .with_context(|| format!("{} has no poses", run.display()))?;
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
-    let (mut found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
     let poses = crate::stage::last::<PoseSummary>(run, "sfm")?;
-    found.poses_doubtful = poses.is_some_and(|p| p.value.doubt().is_some());
+    let sure = poses.map_or(1.0, |p| p.value.probability());
+    let (mut found, corrected) = if sure < PROBABLE {
+        (Articulation::default(), model)
+    } else {
+        moving_parts(&frames, &model, &args.klt, args.seed, &progress)?
+    };
+    found.poses_probability = sure;
     let folder = args.output.clone().unwrap_or_else(|| run.join(FOLDER));
     let sparse = folder.join("sparse/0");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
@@ -67,13 +77,18 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     if verbosity > Verbosity::Quiet {
         say(&format!("wrote {}", folder.display()));
     }
-    Ok(if found.poses_doubtful { Outcome::Doubtful } else { Outcome::Done })
+    Ok(if found.poses_probability < 1.0 { Outcome::Doubtful } else { Outcome::Done })
 }
 
 /// What was found, for people.
 fn text(found: &Articulation) -> String {
+    if found.poses_probability < PROBABLE {
+        return "the run's poses are more probably wrong than right, and what moves against them is their \
+                error: no parts were looked for; the run's report says what helps\n"
+            .to_owned();
+    }
     let mut out = String::new();
-    if found.poses_doubtful {
+    if found.poses_probability < 1.0 {
         out += "the run's poses are doubtful: what moves here may be their error\n";
     }
     if found.parts.is_empty() {

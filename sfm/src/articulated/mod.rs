@@ -137,7 +137,7 @@ fn told(tracks: &[KltTrack], chain: &Chain, seed: u64) -> Articulation {
         tracks: sorted.all.len(),
         unexplained: sorted.all.len() - members.len(),
         gaussians: Vec::new(),
-        poses_doubtful: false,
+        poses_probability: 1.0,
     }
 }
 

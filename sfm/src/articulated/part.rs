@@ -34,7 +34,7 @@ pub struct MovingPart {
 }
 
 /// What was found out about the parts of an object.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Articulation {
     /// Frames in the order of time, by name.
     pub frames: Vec<String>,
@@ -50,9 +50,9 @@ pub struct Articulation {
     /// splat's order; none without a splat.
     #[serde(default)]
     pub gaussians: Vec<usize>,
-    /// Whether the poses are doubtful from which all this follows: what moves may be their error.
+    /// How probably the poses are right from which all this follows, where they are doubtful; else 1.
     #[serde(default)]
-    pub poses_doubtful: bool,
+    pub poses_probability: f64,
 }
 
 impl Articulation {
