@@ -13,7 +13,7 @@ use splat::Dataset;
 use splat::fusion::{DepthSource, MeasuredDepth, fused_mesh};
 use std::io::{Read, Write};
 use std::path::Path;
-use stereo::{DenseDepths, PlaneField, StereoSettings};
+use stereo::{DenseDepths, StereoSettings};
 
 /// The depths of every view of a run's training set, those held out too.
 pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Result<DenseDepths> {
@@ -136,11 +136,10 @@ fn views(dataset: &Dataset) -> Vec<PosedPhoto<'_>> {
 
 /// What is fused: without normals and costs, which take four times the memory.
 pub(crate) fn only_depths(depths: DenseDepths) -> Vec<MeasuredDepth> {
-    let of_field = |field: PlaneField| MeasuredDepth {
-        size: [field.camera.width as usize, field.camera.height as usize],
-        corner: field.corner,
-        columns: field.width,
-        depth: field.depth,
-    };
-    depths.fields.into_iter().map(of_field).collect()
+    let fields = depths.fields.into_iter();
+    let kept = fields.map(|f| {
+        let size = [f.camera.width as usize, f.camera.height as usize];
+        MeasuredDepth { size, corner: f.corner, columns: f.width, depth: f.depth }
+    });
+    kept.collect()
 }

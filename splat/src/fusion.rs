@@ -20,8 +20,6 @@
 
 use crate::dataset::{AlphaMode, Dataset, MATTE_MARGIN_PX, Pixels, View};
 use crate::error::SplatError;
-pub use crate::measured::MeasuredDepth;
-use crate::measured::joined;
 use crate::outline::thin_parts;
 use crate::quantile::{median, quantile};
 use crate::reference::constants::DEFAULT_NEAR;
@@ -37,7 +35,7 @@ use scene::{Camera, Gaussians, Pose, Progress};
 pub const DEFAULT_RESOLUTION: u32 = 400;
 
 /// How views are fused.
-pub(crate) struct FusionLimits {
+struct FusionLimits {
     /// Most views that are fused, spread evenly. Source: chosen by hand, never measured.
     most_views: usize,
     /// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther
@@ -48,9 +46,6 @@ pub(crate) struct FusionLimits {
     /// Surfaces are fused this much nearer to the cameras, voxels: sheets thinner than the errors
     /// of depths keep two sides. Source: docs/decisions/16.
     thicken: f64,
-    /// Where the splat lies before the depth by stereo by more than this share of it, the splat
-    /// counts: stereo looks through blank faces. Source: docs/decisions/16.
-    pub(crate) seen_through: f32,
     /// Most memory of the volume, bytes. Source: docs/decisions/16.
     most_bytes: usize,
     /// Parts smaller than this share of the largest one's area are left out. Source:
@@ -68,12 +63,11 @@ pub(crate) struct FusionLimits {
 }
 
 /// The values in force.
-pub(crate) const LIMITS: FusionLimits = FusionLimits {
+const LIMITS: FusionLimits = FusionLimits {
     most_views: 120,
     pixels_of_a_voxel: 1.5,
     truncation: 3.0,
     thicken: 1.5,
-    seen_through: 0.02,
     most_bytes: 3 << 30,
     least_part: 0.0003,
     least_views: 0.05,
@@ -83,6 +77,61 @@ pub(crate) const LIMITS: FusionLimits = FusionLimits {
 
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
+
+/// Where the splat lies before the depth by stereo by more than this share of it, the splat
+/// counts: stereo looks through blank faces. Source: docs/decisions/16.
+const SEEN_THROUGH: f32 = 0.02;
+
+/// Depths of a view: of a rectangle around the object, as nothing is known elsewhere.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeasuredDepth {
+    /// Columns and rows of the whole picture: those of one of the view's levels.
+    pub size: [usize; 2],
+    /// First column and row of the rectangle.
+    pub corner: [usize; 2],
+    /// Columns of the rectangle.
+    pub columns: usize,
+    /// [rows × columns] camera z, scene units; 0 where nothing is known.
+    pub depth: Vec<f32>,
+}
+
+impl MeasuredDepth {
+    /// These depths of a splat, of a picture's size, joined with those by stereo of any size;
+    /// nothing where the splat shows nothing.
+    pub fn joined(&self, stereo: &Self) -> Self {
+        let [width, height] = self.size;
+        let joined = (0..width * height).map(|i| {
+            let (x, y) = (i % width, i / width);
+            match (self.at(x, y), stereo.at(x * stereo.size[0] / width, y * stereo.size[0] / width)) {
+                (Some(splat), Some(stereo)) => joined(splat, stereo),
+                (splat, _) => splat.unwrap_or(0.0),
+            }
+        });
+        Self { size: self.size, corner: [0; 2], columns: width, depth: joined.collect() }
+    }
+
+    /// What is known at a place of the whole picture.
+    fn at(&self, x: usize, y: usize) -> Option<f32> {
+        let column = x.checked_sub(self.corner[0]).filter(|c| *c < self.columns)?;
+        let row = y.checked_sub(self.corner[1])?;
+        self.depth.get(row * self.columns + column).copied().filter(|z| *z > 0.0)
+    }
+
+    /// The pixels of the whole picture at which something is known, and their depths.
+    fn known(&self) -> impl Iterator<Item = (usize, f32)> {
+        let all = self.depth.iter().enumerate().filter(|(_, z)| **z > 0.0);
+        all.map(|(i, z)| {
+            let (x, y) = (self.corner[0] + i % self.columns, self.corner[1] + i / self.columns);
+            (y * self.size[0] + x, *z)
+        })
+    }
+}
+
+/// The depth by stereo, but where the splat lies well before it: there the photos of a blank face
+/// have deceived stereo. NaN of the splat is nothing.
+fn joined(splat: f32, stereo: f32) -> f32 {
+    if splat < stereo * (1.0 - SEEN_THROUGH) { splat } else { stereo }
+}
 
 /// Where the depths that are fused come from.
 #[derive(Clone, Copy, Debug)]
@@ -110,8 +159,8 @@ pub enum DepthSource<'a> {
 /// The surface of a scene as the views of the data set see it, with the photos' colours; world
 /// frame, no triangles where nothing is half opaque or measured. `resolution`: voxels along the
 /// longest side of what is seen, which without mattes ends at the cameras' distance; fewer where a
-/// voxel would be smaller than a pixel, because surfaces seen through gaps are full of holes. Where
-/// a matte is black, nothing is.
+/// voxel would be smaller than a pixel, because surfaces seen through gaps are full of holes.
+/// Where a matte is black, nothing is.
 pub fn fused_mesh(
     source: &DepthSource,
     dataset: &Dataset,
@@ -319,6 +368,31 @@ fn pixel(maps: &[DepthMap<'_>]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn stereo_counts_unless_it_looks_through_the_splat() {
+        assert_eq!([joined(f32::NAN, 2.0), joined(2.5, 2.0), joined(1.99, 2.0)], [2.0; 3]);
+        assert_eq!(joined(1.5, 2.0), 1.5);
+    }
+
+    #[test]
+    fn a_rectangle_is_known_at_its_place_and_nowhere_else() {
+        let depth = vec![0.0, 2.0, 3.0, 4.0];
+        let stereo = MeasuredDepth { size: [4, 3], corner: [2, 1], columns: 2, depth };
+        assert_eq!(stereo.known().collect::<Vec<_>>(), [(7, 2.0), (10, 3.0), (11, 4.0)]);
+        // A splat of twice the size, 5 away wherever it is: what stereo knows is nearer.
+        let joined =
+            MeasuredDepth { size: [8, 6], corner: [0; 2], columns: 8, depth: vec![5.0; 48] }.joined(&stereo);
+        for (i, z) in joined.depth.iter().enumerate() {
+            let expected = match (i % 8 / 2, i / 8 / 2) {
+                (3, 1) => 2.0,
+                (2, 2) => 3.0,
+                (3, 2) => 4.0,
+                _ => 5.0,
+            };
+            assert_eq!(*z, expected, "pixel {i}");
+        }
+    }
 
     #[test]
     fn the_margin_of_a_matte_is_a_square_and_ends_at_the_border() {

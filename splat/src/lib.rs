@@ -24,7 +24,6 @@ pub mod fusion;
 mod gpu;
 mod hull;
 mod init;
-mod measured;
 pub mod model;
 pub mod moved;
 mod outline;

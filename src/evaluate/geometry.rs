@@ -28,11 +28,8 @@ const DEPTH_MAPS: usize = 36;
 /// Points of the surface are one a cube of this side, per cent of the mesh's size.
 /// Source: derived, a quarter of [`THRESHOLD_PCT`].
 const VOXEL_PCT: f64 = 0.25;
-/// What is thin is told by the surface so far around, per cent of the mesh's size: rods up to 1.6 %
-/// in diameter, sheets up to 0.5 % thick. Source: derived, twice [`THRESHOLD_PCT`].
-const THIN_REACH_PCT: f64 = 2.0;
-/// Of a scene without mattes only what lies so near the mesh's box is judged, per cent of its size.
-/// Source: chosen by hand, never measured.
+/// Of a scene without mattes only what lies so near the mesh's box is judged, per cent of its
+/// size. Source: chosen by hand, never measured.
 const CROP_PCT: f64 = 5.0;
 /// A surface hides another if it lies before it by more than this, per cent of the size.
 /// Source: derived, half of [`THRESHOLD_PCT`].
@@ -113,7 +110,8 @@ pub fn measure(
     let size = mesh.size();
     let all = mesh.sample(SAMPLES, 0);
     let surface = seen_by(&all, &mesh, &moved, SLACK_PCT / 100.0 * size);
-    let thin = thin_parts(&surface, &all, THIN_REACH_PCT / 100.0 * size);
+    // Rods up to 1.6 % in diameter, and sheets up to 0.5 % thick, are thin.
+    let thin = thin_parts(&surface, &all, 2.0 * THRESHOLD_PCT / 100.0 * size);
     anyhow::ensure!(
         !surface.is_empty(),
         "no camera sees the mesh {}: are the frames the same? --mesh-truth names true cameras in its frame",

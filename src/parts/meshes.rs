@@ -113,7 +113,9 @@ fn measured(
     let both = shown.iter().zip(&stereo).zip(&dataset.views).map(|((s, stereo), view)| {
         let own = s.depth.iter().zip(&s.owner);
         let depth = own.map(|(z, owner)| if *owner == number { *z } else { 0.0 }).collect();
-        MeasuredDepth::whole(view.camera.width as usize, depth).joined(stereo)
+        let columns = view.camera.width as usize;
+        let size = [columns, view.camera.height as usize];
+        MeasuredDepth { size, corner: [0; 2], columns, depth }.joined(stereo)
     });
     Ok(both.collect())
 }

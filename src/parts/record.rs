@@ -14,8 +14,8 @@ pub(super) fn write(folder: &Path, found: &Articulation) -> Result<()> {
     write_json(&folder.join(RECORD), found)
 }
 
-/// Removes the splat and the meshes of parts that were found before: without their record they would
-/// look like something that stands still.
+/// Removes the splat and the meshes of parts that were found before: without their record they
+/// would look like something that stands still.
 pub(super) fn forget_splat(folder: &Path) {
     let before = std::fs::read(folder.join(RECORD)).ok();
     let before = before.and_then(|text| serde_json::from_slice::<Articulation>(&text).ok());

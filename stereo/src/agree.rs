@@ -53,13 +53,13 @@ pub(crate) fn filter(fields: &mut [PlaneField], pairs: &[Vec<Pair>], settings: &
 
 /// How many other views agree with each pixel of a field.
 fn agreeing(field: &PlaneField, pairs: &[Pair], fields: &[PlaneField], settings: &StereoSettings) -> Vec<u8> {
-    let of_pixel = |i: usize| {
+    let counts = (0..field.depth.len()).map(|i| {
         let (x, y) = field.place(i);
         let pixel = [x as f32 + 0.5, y as f32 + 0.5];
         let z = field.depth[i];
         let meets =
             |p: &&Pair| meeting(pixel, z, p, &fields[p.view]).is_some_and(|m| m.is_near(&settings.tolerance));
         if z > 0.0 { pairs.iter().filter(meets).count().min(255) as u8 } else { 0 }
-    };
-    (0..field.depth.len()).map(of_pixel).collect()
+    });
+    counts.collect()
 }

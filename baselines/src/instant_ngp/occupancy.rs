@@ -12,9 +12,10 @@ pub(crate) const SIDE: usize = 128;
 /// Cells of a cascade.
 pub(crate) const CELLS: usize = SIDE * SIDE * SIDE;
 
-/// Cells along a side of a block. The inner cube of a cascade ends where blocks end.
+/// Cells along a side of a block. Source: derived: the inner cube of a cascade ends where blocks
+/// end, and a row of a block lies in one word.
 const BLOCK: usize = 8;
-/// Blocks along a side of a cascade.
+/// Blocks along a side of a cascade. Source: derived.
 const BLOCKS: usize = SIDE / BLOCK;
 
 /// Densities by cell, and the cells that count as occupied.
@@ -89,8 +90,8 @@ impl Occupancy {
         new
     }
 
-    /// Takes densities of all cells, and marks the cells whose density is above the mean, or opaque
-    /// enough.
+    /// Takes densities of all cells, and marks the cells whose density is above the mean, or
+    /// opaque enough.
     pub(crate) fn set_density(&mut self, density: Vec<f32>) {
         self.density = density;
         let finest = &self.density[..CELLS];
@@ -105,18 +106,19 @@ impl Occupancy {
     }
 
     fn mark_blocks(&mut self) {
-        let bits = &self.bits;
-        let holds_some = |block: usize| {
-            let (cascade, [x, y, z]) = (block / BLOCKS.pow(3), place_of(block, BLOCKS));
-            let rows = (0..BLOCK * BLOCK).map(|row| {
-                let (y, z) = (y * BLOCK + row % BLOCK, z * BLOCK + row / BLOCK);
-                cascade * CELLS + x * BLOCK + SIDE * (y + SIDE * z)
-            });
-            // A row of a block lies in one word.
-            rows.into_iter().any(|cell| bits[cell / 64] >> (cell % 64) & 0xff != 0)
-        };
         let blocks = 0..self.cascades as usize * BLOCKS.pow(3);
-        self.blocks = blocks.into_par_iter().map(holds_some).collect();
+        self.blocks = blocks.into_par_iter().map(|block| self.holds_some(block)).collect();
+    }
+
+    /// Whether a cell of a block counts as occupied.
+    fn holds_some(&self, block: usize) -> bool {
+        let (cascade, [x, y, z]) = (block / BLOCKS.pow(3), place_of(block, BLOCKS));
+        (0..BLOCK * BLOCK).any(|row| {
+            let (y, z) = (y * BLOCK + row % BLOCK, z * BLOCK + row / BLOCK);
+            let cell = cascade * CELLS + x * BLOCK + SIDE * (y + SIDE * z);
+            // A row of a block lies in one word.
+            self.bits[cell / 64] >> (cell % 64) & 0xff != 0
+        })
     }
 
     /// A side of the smallest cube in sides of the outermost.

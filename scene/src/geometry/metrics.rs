@@ -42,8 +42,8 @@ pub struct GeometryErrors {
 }
 
 /// Judges `points` against `mesh` (same frame and units). `surface`: points spread evenly over the
-/// part of the mesh that is to be found; `thin`: which of them are thin, empty where that is not asked.
-/// `None` where either is empty or the mesh has no extent.
+/// part of the mesh that is to be found; `thin`: which of them are thin, empty where that is not
+/// asked. `None` where either is empty or the mesh has no extent.
 pub fn compare_points(
     points: &[DVec3],
     mesh: &Mesh,

@@ -56,8 +56,8 @@ fn before(map: &DepthMap<'_>, point: DVec3) -> Option<f64> {
     (depth > 0.0 && depth.is_finite()).then(|| (depth - p.z) / p.z * p.length())
 }
 
-/// The depth at a place of the picture, between the four pixels around it where all are known, else
-/// that of its pixel.
+/// The depth at a place of the picture, between the four pixels around it where all are known,
+/// else that of its pixel.
 fn depth_at(map: &DepthMap<'_>, place: DVec2) -> f64 {
     let (width, height) = (map.camera.width as usize, map.camera.height as usize);
     let of = |x: usize, y: usize| f64::from(map.depth[y * width + x]);

@@ -6,30 +6,38 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use rstar::RTree;
 
-/// A part is a rod where the surface around is spread along a second direction by at most this
-/// share of its spread along the first: a diameter of 0.8 of the reach. Source: the middle between
-/// a sheet (1) and the edge of a sheet (0.07) by ratio.
-const ROD: f64 = 0.25;
-/// A part is a sheet where the surface around is spread across it by at most this share of the
-/// square of the reach: a thickness of 0.28 of the reach. Source: derived, half of what the edge of
-/// a box has (0.035).
-const SHEET: f64 = 0.018;
-/// A sheet ends where the middle of the surface around lies so far to the side, shares of the
-/// reach. Source: derived, 0.42 at the very edge and 0 a reach away from it.
-const EDGE: f64 = 0.3;
-/// Fewer points around tell nothing.
-const LEAST_POINTS: usize = 8;
+/// What tells thin parts.
+struct ThinLimits {
+    /// A part is a rod where the surface around is spread along a second direction by at most this
+    /// share of its spread along the first. Source: derived: a diameter of 0.8 of the reach.
+    rod: f64,
+    /// It is a sheet where the surface around is spread across it by at most this share of the
+    /// square of the reach: 0.28 of the reach thick. Source: derived: half of the edge of a box.
+    sheet: f64,
+    /// A sheet ends where the middle of the surface around lies so far to the side, shares of the
+    /// reach. Source: derived: 0.42 at the very edge and 0 a reach away from it.
+    edge: f64,
+    /// Fewer points around tell nothing. Source: chosen by hand, never measured.
+    least_points: usize,
+}
+
+/// The values in force.
+const THIN: ThinLimits = ThinLimits { rod: 0.25, sheet: 0.018, edge: 0.3, least_points: 8 };
 
 /// Which of the points `of` lie on a rod or near the edge of a sheet, judged by the samples of the
 /// whole `surface` (spread evenly) up to `reach` away, scene units.
 pub fn thin_parts(of: &[DVec3], surface: &[DVec3], reach: f64) -> Vec<bool> {
     let tree = RTree::bulk_load(surface.iter().map(|p| p.to_array()).collect());
-    let is_thin = |at: &DVec3| {
+    let thin = of.par_iter().map(|at| {
         let near = tree.locate_within_distance(at.to_array(), reach * reach);
         let around: Vec<DVec3> = near.map(|p| (DVec3::from(*p) - *at) / reach).collect();
-        around.len() >= LEAST_POINTS && is_thin(&around)
-    };
-    of.par_iter().map(is_thin).collect()
+        around.len() >= THIN.least_points && is_thin(&around)
+    });
+    thin.collect()
+}
+
+fn trace(m: DMat3) -> f64 {
+    m.x_axis.x + m.y_axis.y + m.z_axis.z
 }
 
 /// Whether a part is thin whose surface within a reach of 1 around the origin these points are.
@@ -43,11 +51,10 @@ fn is_thin(around: &[DVec3]) -> bool {
     let across = least_eigenvector(spread);
     let least = across.dot(spread * across);
     // The other two, by the traces of the matrix and of its square.
-    let trace = |m: DMat3| m.x_axis.x + m.y_axis.y + m.z_axis.z;
     let (sum, squares) = (trace(spread) - least, trace(spread * spread) - least * least);
     let root = (2.0 * squares - sum * sum).max(0.0).sqrt();
     let [most, second] = [(sum + root) / 2.0, (sum - root) / 2.0];
-    second < ROD * most || (least < SHEET && middle.length() > EDGE)
+    second < THIN.rod * most || (least < THIN.sheet && middle.length() > THIN.edge)
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! What speaks for one chain against another: which joints there are, and what they have in common.
+//! What speaks for one chain against another: which joints there are, and what they have in
+//! common.
 
 use super::chain::{Chain, Tie};
 use super::limits::{HOPELESS, LEAST_TRACKS, SIMPLER, TOLERANCES};
@@ -37,22 +38,24 @@ impl<'t> Contest<'t> {
         self.favoured(start, 0.0, 0)
     }
 
-    /// The same of a chain that says less, and is preferred therefore: by so much evidence, or if it
-    /// explains at most `lost` tracks fewer.
+    /// The same of a chain that says less, and is preferred therefore: by so much evidence, or if
+    /// it explains at most `lost` tracks fewer.
     fn favoured(&mut self, start: &Chain, by: f64, lost: usize) -> bool {
-        let enough = |own: &Self, chain: &Chain| {
-            lost > 0 && own.explained(chain).len() + lost >= own.explained(&own.best).len()
-        };
         let (near, hope) = self.adjusted(start, TOLERANCES[0]);
-        if hope < self.evidence - HOPELESS && !enough(self, &near) {
+        if hope < self.evidence - HOPELESS && !self.spares(&near, lost) {
             return false;
         }
         let (found, evidence) = self.adjusted(&near, TOLERANCES[1]);
-        let wins = evidence > self.evidence - by || enough(self, &found);
+        let wins = evidence > self.evidence - by || self.spares(&found, lost);
         if wins {
             (self.best, self.evidence) = (found, evidence);
         }
         wins
+    }
+
+    /// Whether a chain explains at most so many tracks fewer than the best, where that matters.
+    fn spares(&self, chain: &Chain, lost: usize) -> bool {
+        lost > 0 && self.explained(chain).len() + lost >= self.explained(&self.best).len()
     }
 
     /// The tracks that a chain explains: of each the joint.
@@ -62,9 +65,10 @@ impl<'t> Contest<'t> {
         members.iter().map(|m| m.joint).collect()
     }
 
-    /// How many of a joint's tracks may be wrong: fewer than make a part, or the share of all tracks
-    /// that nothing explains. Such run along the outline of what lies before them, and a joint whose
-    /// angle is free can follow a few of them, each of which counts as much as a good one.
+    /// How many of a joint's tracks may be wrong: fewer than make a part, or the share of all
+    /// tracks that nothing explains. Such run along the outline of what lies before them, and a
+    /// joint whose angle is free can follow a few of them, each of which counts as much as a good
+    /// one.
     fn wrong_tracks(&self, joint: usize) -> usize {
         let explained = self.explained(&self.best);
         let own = explained.iter().filter(|j| **j == Some(joint)).count();

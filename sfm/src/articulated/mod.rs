@@ -3,8 +3,8 @@
 //!
 //! Tracks that no place in the body explains are looked at again: groups of neighbours, over a
 //! short time, as points of a part that turns about an axis at some rate (`search`). What explains
-//! most tracks is refined over all frames, with an angle for each (`grow`, `fit`), and is a part if
-//! it passes `is_part`. Cameras, poses and joints are then adjusted together (`adjust`).
+//! most tracks is refined over all frames, with an angle for each (`grow`, `fit`), and is a part
+//! if it passes `is_part`. Cameras, poses and joints are then adjusted together (`adjust`).
 
 mod adjust;
 mod chain;

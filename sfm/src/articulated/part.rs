@@ -50,7 +50,8 @@ pub struct Articulation {
     /// splat's order; none without a splat.
     #[serde(default)]
     pub gaussians: Vec<usize>,
-    /// How probably the poses are right from which all this follows, where they are doubtful; else 1.
+    /// How probably the poses are right from which all this follows, where they are doubtful;
+    /// else 1.
     #[serde(default)]
     pub poses_probability: f64,
 }
@@ -70,8 +71,8 @@ impl MovingPart {
         Pose::new(rotation, place - rotation * place)
     }
 
-    /// Its angle, degrees, so many frames after the first; between two frames by a line, beyond the
-    /// ends as there.
+    /// Its angle, degrees, so many frames after the first; between two frames by a line, beyond
+    /// the ends as there.
     pub fn angle_deg(&self, frame: f64) -> f64 {
         let last = self.angles_deg.len().saturating_sub(1) as f64;
         let frame = if frame > 0.0 { frame.min(last) } else { 0.0 };
