@@ -68,7 +68,9 @@ SECTIONS = [
      ["times"], BENCH + " (`--tables times`)"),
     ("How do the numbers compare with published ones?",
      "The published captures are real and not public, ours of the same cases are simulated, and the published cost is that of a "
-     "graphics card: the rows of the paper tell the order of magnitude, not which method is better.",
+     "graphics card: the rows of the paper tell the order of magnitude, not which method is better. Each "
+     "method had 5 minutes of two cores of processor time; frames were drawn while other programs ran, so that frames a second "
+     "are too few, of NeRF and D-NeRF by far.",
      ["paper_quality", "paper_training", "paper_rendering"], "`make tables`"),
     ("Do the radiance fields compute what their papers say?",
      "Twins in torch with the same weights, rays and samples (`tests/oracle/fields.py`), and the kernels for graphics adapters "
