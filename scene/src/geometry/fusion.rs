@@ -1,12 +1,11 @@
 //! Depth maps fused to a surface: a truncated signed distance in sparse blocks of voxels, and its
 //! zero set as a mesh.
 //!
-//! Curless and Levoy, "A Volumetric Method for Building Complex Models from Range Images",
-//! SIGGRAPH 1996; weights that fall off behind the surface: Bylow et al., "Real-Time Camera
-//! Tracking and 3D Reconstruction Using Signed Distance Functions", RSS 2013. Blocks: Nießner et
-//! al., "Real-time 3D Reconstruction at Scale using Voxel Hashing", 2013. Distances are to the
-//! plane of the surface around a pixel: along the ray a plate that is seen aslant would be thicker
-//! than the truncation.
+//! Curless and Levoy, "A Volumetric Method for Building Complex Models from Range Images", SIGGRAPH
+//! 1996; weights that fall off behind the surface: Bylow et al., "Real-Time Camera Tracking and 3D
+//! Reconstruction Using Signed Distance Functions", RSS 2013. Blocks: Nießner et al., "Real-time 3D
+//! Reconstruction at Scale using Voxel Hashing", 2013. Distances are to the plane of the surface
+//! around a pixel: along the ray a plate that is seen aslant would be thicker than the truncation.
 
 use super::Mesh;
 use super::cubes::{EDGES, axis_of, table};
