@@ -68,7 +68,8 @@ impl PoseSummary {
     /// How probably the model is right where it is to be doubted, else 1.
     pub(crate) fn probability(&self) -> f64 {
         match self.doubt().map(|d| &d.choice) {
-            Some(scene::decision::Choice::Value(found)) => found.value,
+            // What could not be told is as doubtful as can be.
+            Some(scene::decision::Choice::Value(found)) => found.value.max(0.0),
             _ => 1.0,
         }
     }

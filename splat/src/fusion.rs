@@ -260,7 +260,9 @@ impl<'a> ViewSource<'a> {
         let mut depth =
             self.splat_depth(&camera).unwrap_or_else(|| vec![f32::NAN; pixels.width * pixels.height]);
         for (i, known) in self.measured.iter().flat_map(|m| m.known()) {
-            depth[i] = joined(depth[i], (f64::from(known) * self.scale) as f32);
+            if let Some(z) = depth.get_mut(i) {
+                *z = joined(*z, (f64::from(known) * self.scale) as f32);
+            }
         }
         blank(&mut depth, pixels, alpha);
         Some(DepthMap { camera, pose: self.pose, depth, outline: Vec::new(), rgb: (&pixels.rgb).into() })

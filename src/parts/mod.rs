@@ -23,7 +23,7 @@ use std::fmt::Write as _;
 const FOLDER: &str = "parts";
 
 /// Probability of the poses from which on parts are looked for. Source: more probably right than
-/// wrong. Parts that move make poses less probable: 0.5 to 0.9 on three of eight films
+/// wrong. Parts that move make poses less probable: 0.5 and 0.9 on two of eight films
 /// (docs/decisions/22).
 const PROBABLE: f64 = 0.5;
 

@@ -99,8 +99,11 @@ impl<'t> Contest<'t> {
     pub(super) fn settled(mut self) -> Chain {
         let mut joint = 0;
         while joint < self.best.joints.len() {
+            if self.best.joints.len() == 1 {
+                break;
+            }
             let lost = self.wrong_tracks(joint);
-            if self.best.joints.len() == 1 || !self.favoured(&self.best.without(joint), SIMPLER, lost) {
+            if !self.favoured(&self.best.without(joint), SIMPLER, lost) {
                 joint += 1;
             }
         }

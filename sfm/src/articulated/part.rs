@@ -52,8 +52,13 @@ pub struct Articulation {
     pub gaussians: Vec<usize>,
     /// How probably the poses are right from which all this follows, where they are doubtful;
     /// else 1.
-    #[serde(default)]
+    #[serde(default = "no_doubt")]
     pub poses_probability: f64,
+}
+
+/// Of records that say nothing of it.
+fn no_doubt() -> f64 {
+    1.0
 }
 
 impl Articulation {
