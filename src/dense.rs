@@ -11,7 +11,8 @@ use scene::io::ply::OrientedPoint;
 use scene::{Gaussians, PosedPhoto, Progress};
 use splat::Dataset;
 use splat::fusion::{DepthSource, MeasuredDepth, fused_mesh};
-use std::io::{Read, Write};
+use std::fs::File;
+use std::io::{BufReader, Read, Write};
 use std::path::Path;
 use stereo::{DenseDepths, StereoSettings};
 
@@ -23,14 +24,14 @@ pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Resu
     let views = views(dataset);
     let key = key(&views, &points, &settings);
     let kept = run.join(".stages").join(KEPT);
-    let bytes = read(&kept, &key, most_bytes(&views));
-    if let Some(depths) = bytes.and_then(|b| DenseDepths::from_bytes(&b, &views, &points, &settings)) {
+    let file = open(&kept, &key);
+    if let Some(depths) = file.and_then(|mut f| DenseDepths::read_from(&mut f, &views, &points, &settings)) {
         return Ok(depths);
     }
     let depths = stereo::dense_depths(&views, &points, &settings, progress).context("no depths by stereo")?;
     if run.join(".stages").is_dir() {
         // Where nothing can be kept, the next command computes them again.
-        let _ = write(&kept, &key, &depths.to_bytes());
+        let _ = write(&kept, &key, &depths);
     }
     Ok(depths)
 }
@@ -50,26 +51,19 @@ fn key(views: &[PosedPhoto<'_>], points: &[DVec3], settings: &StereoSettings) ->
     *hasher.finalize().as_bytes()
 }
 
-/// More than [`DenseDepths::to_bytes`] ever makes of the views: a longer file is not its own.
-fn most_bytes(views: &[PosedPhoto<'_>]) -> u64 {
-    let pixels = views.iter().map(|v| u64::from(v.camera.width) * u64::from(v.camera.height));
-    16 * (pixels.sum::<u64>() + views.len() as u64)
-}
-
 /// What was kept under this key.
-fn read(path: &Path, key: &[u8], most: u64) -> Option<Vec<u8>> {
-    let file = std::fs::read(path).ok()?;
-    let packed = file.strip_prefix(key)?;
-    let mut bytes = Vec::new();
-    GzDecoder::new(packed).take(most).read_to_end(&mut bytes).ok()?;
-    Some(bytes)
+fn open(path: &Path, key: &[u8]) -> Option<impl Read> {
+    let mut file = BufReader::new(File::open(path).ok()?);
+    let mut own = [0; blake3::OUT_LEN];
+    file.read_exact(&mut own).ok()?;
+    (own == key).then(|| GzDecoder::new(file))
 }
 
-fn write(path: &Path, key: &[u8], bytes: &[u8]) -> Result<()> {
+fn write(path: &Path, key: &[u8], depths: &DenseDepths) -> Result<()> {
     Ok(scene::io::write_atomic(path, |file| {
         file.write_all(key)?;
         let mut packed = GzEncoder::new(file, Compression::fast());
-        packed.write_all(bytes)?;
+        depths.write_to(&mut packed)?;
         packed.finish().map(|_| ())
     })?)
 }

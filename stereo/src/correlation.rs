@@ -48,7 +48,7 @@ pub(crate) struct Patch {
 impl Patch {
     /// Around a pixel of the mask; none where too little of it is inside.
     pub(crate) fn new(image: &LevelImage, x: usize, y: usize, sigma_grey: f32, noise: f32) -> Option<Self> {
-        let middle = image.grey[y * image.width + x];
+        let middle = image.grey(y * image.width + x);
         let (mut grey, mut weight, mut count) = ([0.0; SAMPLES], [0.0; SAMPLES], 0);
         for (k, [dx, dy]) in OFFSETS.into_iter().enumerate() {
             let (u, v) = (x as i32 + dx, y as i32 + dy);
@@ -57,7 +57,7 @@ impl Patch {
             }
             let i = v as usize * image.width + u as usize;
             if image.inside[i] {
-                grey[k] = image.grey[i];
+                grey[k] = image.grey(i);
                 let (off, away) = ((grey[k] - middle) / sigma_grey, (dx * dx + dy * dy) as f32);
                 weight[k] = (-0.5 * (off * off + away / (SIGMA_PX * SIGMA_PX))).exp();
                 count += 1;

@@ -14,6 +14,10 @@ use glam::DVec3;
 use rayon::prelude::*;
 use scene::{PosedPhoto, Progress};
 
+/// Views whose fields are made before the old ones are replaced: two copies of so many are held at
+/// once. Source: some for each core; whatever it is, results do not depend on the number of threads.
+const AT_ONCE: usize = 16;
+
 /// What the views see.
 #[derive(Clone, Debug)]
 pub struct DenseDepths {
@@ -50,13 +54,17 @@ pub fn dense_depths(
         for round in 0..settings.rounds(level) {
             progress.begin(&format!("stereo at 1/{}", 1 << level), views.len());
             let job = Job { level, round, layout: &layout, settings };
-            let next = (0..views.len()).into_par_iter().map(|i| {
-                let hull = hulls[i].as_ref();
-                let view = ViewJob { view: i, images: &images, pairs: &pairs[i], fields: &fields, hull };
-                let field = swept(&job, &view);
-                progress.tick().map(|()| field)
-            });
-            fields = next.collect::<Result<_, _>>()?;
+            for first in (0..views.len()).step_by(AT_ONCE) {
+                let some = first..(first + AT_ONCE).min(views.len());
+                let next = some.clone().into_par_iter().map(|i| {
+                    let hull = hulls[i].as_ref();
+                    let view = ViewJob { view: i, images: &images, pairs: &pairs[i], fields: &fields, hull };
+                    let field = swept(&job, &view);
+                    progress.tick().map(|()| field)
+                });
+                let next: Vec<PlaneField> = next.collect::<Result<_, _>>()?;
+                fields[some].iter_mut().zip(&next).for_each(|(field, next)| field.take_planes(next));
+            }
         }
     }
     agree::filter(&mut fields, &pairs, settings);

@@ -64,6 +64,14 @@ impl PlaneField {
         field
     }
 
+    /// The planes of a field of the same pixels and their costs. They are copied, as memory that
+    /// is freed between others is lost for what is a little longer.
+    pub(crate) fn take_planes(&mut self, next: &Self) {
+        self.depth.copy_from_slice(&next.depth);
+        self.normal.copy_from_slice(&next.normal);
+        self.cost.copy_from_slice(&next.cost);
+    }
+
     fn take_from(&mut self, coarser: &Self) {
         for i in (0..self.depth.len()).filter(|&i| self.inside[i]) {
             let (x, y) = self.place(i);

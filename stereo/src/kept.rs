@@ -1,4 +1,4 @@
-//! Depths as bytes, to be kept in a file.
+//! Depths in a file.
 
 use crate::depths::{DenseDepths, pairs_at};
 use crate::field::{PlaneField, from_steps, to_steps};
@@ -9,26 +9,19 @@ use crate::view::check;
 use glam::DVec3;
 use rayon::prelude::*;
 use scene::PosedPhoto;
+use std::io::{self, Read, Write};
 
 impl DenseDepths {
     /// Depths and normals of all views, little endian: a view's number of pixels (4 bytes), its
     /// depths (4 bytes each), its normals (3 × 2 bytes each).
-    pub fn to_bytes(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        for field in &self.fields {
-            bytes.extend((field.depth.len() as u32).to_le_bytes());
-            bytes.extend(field.depth.iter().flat_map(|z| z.to_le_bytes()));
-            let normals = field.normal.iter().zip(&field.depth);
-            let known = normals.map(|(n, z)| if *z > 0.0 { to_steps(*n) } else { [0; 3] });
-            bytes.extend(known.flatten().flat_map(i16::to_le_bytes));
-        }
-        bytes
+    pub fn write_to(&self, file: &mut impl Write) -> io::Result<()> {
+        self.fields.iter().try_for_each(|field| field.write_to(file))
     }
 
-    /// What [`Self::to_bytes`] has written of the same views, points and settings, without the
-    /// costs; none where the bytes are not theirs.
-    pub fn from_bytes(
-        mut bytes: &[u8],
+    /// What [`Self::write_to`] has written of the same views, points and settings, without the
+    /// costs; none where it is not theirs.
+    pub fn read_from(
+        file: &mut impl Read,
         views: &[PosedPhoto],
         points: &[DVec3],
         settings: &StereoSettings,
@@ -40,24 +33,35 @@ impl DenseDepths {
         let mut fields = Vec::with_capacity(views.len());
         for image in &images {
             let mut field = PlaneField::start(image, None);
-            bytes = field.read(bytes)?;
+            field.read_from(file)?;
             fields.push(field);
         }
         let pairs = pairs_at(&layout, views, &images);
-        bytes.is_empty().then(|| Self::new(fields, pairs, settings))
+        let is_at_end = file.read(&mut [0]).ok()? == 0;
+        is_at_end.then(|| Self::new(fields, pairs, settings))
     }
 }
 
 impl PlaneField {
-    /// Takes depths and normals from the front; returns the rest.
-    fn read<'a>(&mut self, bytes: &'a [u8]) -> Option<&'a [u8]> {
-        let (count, bytes) = bytes.split_first_chunk::<4>()?;
-        let n = self.depth.len();
-        if u32::from_le_bytes(*count) as usize != n {
+    fn write_to(&self, file: &mut impl Write) -> io::Result<()> {
+        let depths = self.depth.iter().flat_map(|z| z.to_le_bytes());
+        let normals = self.normal.iter().zip(&self.depth);
+        let known = normals.map(|(n, z)| if *z > 0.0 { to_steps(*n) } else { [0; 3] });
+        let mut bytes = (self.depth.len() as u32).to_le_bytes().to_vec();
+        bytes.extend(depths.chain(known.flatten().flat_map(i16::to_le_bytes)));
+        file.write_all(&bytes)
+    }
+
+    /// Takes depths and normals.
+    fn read_from(&mut self, file: &mut impl Read) -> Option<()> {
+        let (mut count, n) = ([0; 4], self.depth.len());
+        file.read_exact(&mut count).ok()?;
+        if u32::from_le_bytes(count) as usize != n {
             return None;
         }
-        let (depths, bytes) = bytes.split_at_checked(4 * n)?;
-        let (normals, rest) = bytes.split_at_checked(6 * n)?;
+        let mut bytes = vec![0; 10 * n];
+        file.read_exact(&mut bytes).ok()?;
+        let (depths, normals) = bytes.split_at(4 * n);
         for (z, four) in self.depth.iter_mut().zip(depths.as_chunks::<4>().0) {
             *z = f32::from_le_bytes(*four);
         }
@@ -65,6 +69,6 @@ impl PlaneField {
         for (normal, three) in self.normal.iter_mut().zip(steps) {
             *normal = from_steps(three.map(i16::from_le_bytes));
         }
-        Some(rest)
+        Some(())
     }
 }

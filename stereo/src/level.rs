@@ -12,8 +12,6 @@ pub(crate) struct LevelImage {
     pub(crate) height: usize,
     /// Of this size.
     pub(crate) camera: Camera,
-    /// [height × width] luma.
-    pub(crate) grey: Vec<f32>,
     /// [height × width] whether the mask is white.
     pub(crate) inside: Vec<bool>,
     /// [height × width] the luma of a pixel, its right neighbour, those below: bytes from the
@@ -45,25 +43,30 @@ impl LevelImage {
                     cover += mask;
                     count += 1;
                 }
-                grey.push(light as f32 / (1000 * count) as f32);
+                grey.push(((light + 500 * count) / (1000 * count)) as u8);
                 inside.push(cover >= WHITE * count);
             }
         }
         let camera = view.camera.scaled(width as u32, height as u32);
         let (packed, frame) = (packed(&grey, width), frame(&inside, width));
-        Self { width, height, camera, grey, inside, packed, frame }
+        Self { width, height, camera, inside, packed, frame }
+    }
+
+    /// Luma of a pixel.
+    #[inline(always)]
+    pub(crate) fn grey(&self, i: usize) -> f32 {
+        (self.packed[i] & 255) as f32
     }
 }
 
 /// Each pixel with its neighbours to the right and below (the last ones: themselves).
-fn packed(grey: &[f32], width: usize) -> Vec<u32> {
-    let bytes: Vec<u32> = grey.iter().map(|v| v.round() as u32).collect();
+fn packed(grey: &[u8], width: usize) -> Vec<u32> {
     let height = grey.len() / width;
     (0..grey.len())
         .map(|i| {
             let right = usize::from(i % width + 1 < width);
             let below = if i / width + 1 < height { width } else { 0 };
-            let [a, b, c, d] = [i, i + right, i + below, i + below + right].map(|j| bytes[j]);
+            let [a, b, c, d] = [i, i + right, i + below, i + below + right].map(|j| u32::from(grey[j]));
             a | b << 8 | c << 16 | d << 24
         })
         .collect()

@@ -143,8 +143,10 @@ fn depths_that_were_kept_are_those_that_were_found() {
     let shot = Shot::new(1.0, 5, 96);
     let (views, points, settings) = (shot.views(), shot.points(), settings());
     let found = dense_depths(&views, &points, &settings, &Progress::silent()).unwrap();
-    let bytes = found.to_bytes();
-    let read = DenseDepths::from_bytes(&bytes, &views, &points, &settings).unwrap();
+    let mut bytes = Vec::new();
+    found.write_to(&mut bytes).unwrap();
+    let read_from = |mut bytes: &[u8]| DenseDepths::read_from(&mut bytes, &views, &points, &settings);
+    let read = read_from(&bytes).unwrap();
     assert!(found.cloud(&views).len() > 100);
     assert_eq!(found.cloud(&views), read.cloud(&views));
     for (a, b) in found.fields.iter().zip(&read.fields) {
@@ -152,9 +154,9 @@ fn depths_that_were_kept_are_those_that_were_found() {
     }
     // Of fewer or more views they are not.
     for wrong in [&bytes[..bytes.len() - 1], &bytes[1..], &[&bytes[..], &[0]].concat(), &[]] {
-        assert!(DenseDepths::from_bytes(wrong, &views, &points, &settings).is_none());
+        assert!(read_from(wrong).is_none());
     }
-    assert!(DenseDepths::from_bytes(&bytes, &views[1..], &points, &settings).is_none());
+    assert!(DenseDepths::read_from(&mut &bytes[..], &views[1..], &points, &settings).is_none());
 }
 
 #[test]
