@@ -11,10 +11,11 @@ use scene::io::ply::OrientedPoint;
 use scene::{Gaussians, PosedPhoto, Progress};
 use splat::Dataset;
 use splat::fusion::{DepthSource, MeasuredDepth, fused_mesh};
+use splat::surface::median_depth;
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
 use std::path::Path;
-use stereo::{DenseDepths, StereoSettings};
+use stereo::{DenseDepths, DepthJoin, PlaneField, StereoSettings};
 
 /// The depths of every view of a run's training set, those held out too.
 pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Result<DenseDepths> {
@@ -35,6 +36,10 @@ pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Resu
     }
     Ok(depths)
 }
+
+/// Gaussians nearer to a camera than this share of their median distance are not seen. Source: as
+/// in training.
+pub(crate) const NEAR: f64 = 0.01;
 
 /// The file in `.stages` that keeps the depths for the next command.
 const KEPT: &str = "depths.bin";
@@ -68,18 +73,32 @@ fn write(path: &Path, key: &[u8], depths: &DenseDepths) -> Result<()> {
     })?)
 }
 
-/// The depths by stereo, in every view, of what masks of the views' size show white: `points` are
-/// some of its places.
+/// The depths, in every view, of what masks of the views' size show white: by stereo joined with
+/// those of the splat. `points` are some of its places.
 pub(crate) fn part_depths(
     dataset: &Dataset,
     masks: &[Vec<u8>],
     points: &[DVec3],
+    splat: &[MeasuredDepth],
     progress: &Progress,
 ) -> Result<Vec<MeasuredDepth>> {
     let mut seen = views(dataset);
     seen.iter_mut().zip(masks).for_each(|(view, mask)| view.mask = Some(mask));
     let depths = stereo::dense_depths(&seen, points, &StereoSettings::default(), progress);
-    Ok(only_depths(depths.context("no depths by stereo")?))
+    let depths = depths.context("no depths by stereo")?;
+    let join = DepthJoin::new(&depths, &seen);
+    let both = depths.fields.iter().zip(splat).enumerate();
+    Ok(both.map(|(at, (field, splat))| measured(field, join.joined(at, &sampled(splat, field)))).collect())
+}
+
+/// The depths of a picture of any size at the pixels of a field.
+fn sampled(splat: &MeasuredDepth, field: &PlaneField) -> Vec<f32> {
+    let size = [field.camera.width as usize, field.camera.height as usize];
+    let all = (0..field.depth.len()).map(|i| {
+        let (x, y) = field.place(i);
+        splat.at(x * splat.size[0] / size[0], y * splat.size[1] / size[1]).unwrap_or(0.0)
+    });
+    all.collect()
 }
 
 /// The points on which the views agree, with their normals and the photos' colours.
@@ -88,23 +107,48 @@ pub(crate) fn cloud(depths: &DenseDepths, dataset: &Dataset) -> Vec<OrientedPoin
     points.map(|p| OrientedPoint { position: p.position, normal: p.normal, rgb: p.rgb }).collect()
 }
 
-/// The mesh of a run's depths, of its splat's or of both.
+/// The mesh of a run's depths by stereo, of its splat's (with whether it was trained with
+/// antialiasing) or of both.
 pub(crate) fn mesh(
-    measured: Option<&[MeasuredDepth]>,
+    depths: Option<DenseDepths>,
     splat: Option<(&Gaussians, bool)>,
     dataset: &Dataset,
     resolution: u32,
     progress: &Progress,
 ) -> Result<Mesh> {
-    let source = match (measured, splat) {
+    let measured = match (depths, splat) {
         (None, None) => return Ok(Mesh::default()),
-        (Some(measured), None) => DepthSource::Measured(measured),
-        (None, Some((gaussians, antialias))) => DepthSource::Splat { gaussians, antialias },
-        (Some(measured), Some((gaussians, antialias))) => {
-            DepthSource::Both { measured, gaussians, antialias }
+        (None, Some((gaussians, antialias))) => {
+            let source = DepthSource::Splat { gaussians, antialias };
+            return Ok(fused_mesh(&source, dataset, resolution, progress)?);
         }
+        (Some(depths), None) => only_depths(depths),
+        (Some(depths), Some(splat)) => with_splat(&depths, splat, dataset, progress)?,
     };
-    Ok(fused_mesh(&source, dataset, resolution, progress)?)
+    Ok(fused_mesh(&DepthSource::Measured(&measured), dataset, resolution, progress)?)
+}
+
+/// Depths by stereo joined with those of the splat.
+fn with_splat(
+    depths: &DenseDepths,
+    (gaussians, antialias): (&Gaussians, bool),
+    dataset: &Dataset,
+    progress: &Progress,
+) -> Result<Vec<MeasuredDepth>> {
+    let views = views(dataset);
+    let join = DepthJoin::new(depths, &views);
+    progress.begin("depths of the splat", views.len());
+    let mut all = Vec::with_capacity(views.len());
+    for (at, (field, view)) in depths.fields.iter().zip(&views).enumerate() {
+        let near = NEAR * gaussians.median_distance(view.pose.centre());
+        let depth = median_depth(gaussians, &field.camera, &view.pose, near, antialias);
+        let depth = depth.into_iter().map(|z| z.map_or(0.0, |z| z as f32)).collect();
+        let size = [field.camera.width as usize, field.camera.height as usize];
+        let splat = MeasuredDepth { size, corner: [0; 2], columns: size[0], depth };
+        all.push(measured(field, join.joined(at, &sampled(&splat, field))));
+        progress.tick()?;
+    }
+    Ok(all)
 }
 
 impl MeshDepths {
@@ -129,11 +173,17 @@ fn views(dataset: &Dataset) -> Vec<PosedPhoto<'_>> {
 }
 
 /// What is fused: without normals and costs, which take four times the memory.
-pub(crate) fn only_depths(depths: DenseDepths) -> Vec<MeasuredDepth> {
+fn only_depths(depths: DenseDepths) -> Vec<MeasuredDepth> {
     let fields = depths.fields.into_iter();
-    let kept = fields.map(|f| {
-        let size = [f.camera.width as usize, f.camera.height as usize];
-        MeasuredDepth { size, corner: f.corner, columns: f.width, depth: f.depth }
+    let kept = fields.map(|mut field| {
+        let depth = std::mem::take(&mut field.depth);
+        measured(&field, depth)
     });
     kept.collect()
+}
+
+/// Depths of a field's pixels.
+fn measured(field: &PlaneField, depth: Vec<f32>) -> MeasuredDepth {
+    let size = [field.camera.width as usize, field.camera.height as usize];
+    MeasuredDepth { size, corner: field.corner, columns: field.width, depth }
 }

@@ -146,14 +146,10 @@ pub(crate) fn fused(
     let wanted = from == MeshDepths::Splat || from.by_splat() && run.join("splat.ply").exists();
     let gaussians = if wanted { Some(need_splat(run)?) } else { None };
     let dataset = training_set(run, progress)?;
-    let depths = if from.by_stereo() {
-        Some(dense::only_depths(dense::depths(run, &dataset, progress)?))
-    } else {
-        None
-    };
+    let depths = if from.by_stereo() { Some(dense::depths(run, &dataset, progress)?) } else { None };
     let antialias = crate::pictures::trained_with_antialias(run)?;
     let splat = gaussians.as_ref().map(|g| (g, antialias));
-    let mesh = dense::mesh(depths.as_deref(), splat, &dataset, resolution, progress)?;
+    let mesh = dense::mesh(depths, splat, &dataset, resolution, progress)?;
     if mesh.triangles.is_empty() {
         bail!(
             "{} has no surface: its views agree on none; --mesh-depths splat asks fewer of them",

@@ -78,10 +78,6 @@ const LIMITS: FusionLimits = FusionLimits {
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
 
-/// Where the splat lies before the depth by stereo by more than this share of it, the splat
-/// counts: stereo looks through blank faces. Source: docs/decisions/16.
-const SEEN_THROUGH: f32 = 0.02;
-
 /// Depths of a view: of a rectangle around the object, as nothing is known elsewhere.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasuredDepth {
@@ -96,22 +92,8 @@ pub struct MeasuredDepth {
 }
 
 impl MeasuredDepth {
-    /// These depths of a splat, of a picture's size, joined with those by stereo of any size;
-    /// nothing where the splat shows nothing.
-    pub fn joined(&self, stereo: &Self) -> Self {
-        let [width, height] = self.size;
-        let joined = (0..width * height).map(|i| {
-            let (x, y) = (i % width, i / width);
-            match (self.at(x, y), stereo.at(x * stereo.size[0] / width, y * stereo.size[0] / width)) {
-                (Some(splat), Some(stereo)) => joined(splat, stereo),
-                (splat, _) => splat.unwrap_or(0.0),
-            }
-        });
-        Self { size: self.size, corner: [0; 2], columns: width, depth: joined.collect() }
-    }
-
     /// What is known at a place of the whole picture.
-    fn at(&self, x: usize, y: usize) -> Option<f32> {
+    pub fn at(&self, x: usize, y: usize) -> Option<f32> {
         let column = x.checked_sub(self.corner[0]).filter(|c| *c < self.columns)?;
         let row = y.checked_sub(self.corner[1])?;
         self.depth.get(row * self.columns + column).copied().filter(|z| *z > 0.0)
@@ -127,12 +109,6 @@ impl MeasuredDepth {
     }
 }
 
-/// The depth by stereo, but where the splat lies well before it: there the photos of a blank face
-/// have deceived stereo. NaN of the splat is nothing.
-fn joined(splat: f32, stereo: f32) -> f32 {
-    if splat < stereo * (1.0 - SEEN_THROUGH) { splat } else { stereo }
-}
-
 /// Where the depths that are fused come from.
 #[derive(Clone, Copy, Debug)]
 pub enum DepthSource<'a> {
@@ -145,15 +121,6 @@ pub enum DepthSource<'a> {
     },
     /// Depths of every view of the data set.
     Measured(&'a [MeasuredDepth]),
-    /// The same, and the splat's where they know nothing or look through it.
-    Both {
-        /// Of every view of the data set.
-        measured: &'a [MeasuredDepth],
-        /// The scene.
-        gaussians: &'a Gaussians,
-        /// As in training.
-        antialias: bool,
-    },
 }
 
 /// The surface of a scene as the views of the data set see it, with the photos' colours; world
@@ -219,16 +186,14 @@ impl<'a> DepthSource<'a> {
     fn gaussians(&self) -> Option<(&'a Gaussians, bool)> {
         match *self {
             Self::Measured(_) => None,
-            Self::Splat { gaussians, antialias } | Self::Both { gaussians, antialias, .. } => {
-                Some((gaussians, antialias))
-            }
+            Self::Splat { gaussians, antialias } => Some((gaussians, antialias)),
         }
     }
 
     fn measured(&self) -> Option<&'a [MeasuredDepth]> {
         match *self {
             Self::Splat { .. } => None,
-            Self::Measured(measured) | Self::Both { measured, .. } => Some(measured),
+            Self::Measured(measured) => Some(measured),
         }
     }
 }
@@ -261,7 +226,7 @@ impl<'a> ViewSource<'a> {
             self.splat_depth(&camera).unwrap_or_else(|| vec![f32::NAN; pixels.width * pixels.height]);
         for (i, known) in self.measured.iter().flat_map(|m| m.known()) {
             if let Some(z) = depth.get_mut(i) {
-                *z = joined(*z, (f64::from(known) * self.scale) as f32);
+                *z = (f64::from(known) * self.scale) as f32;
             }
         }
         blank(&mut depth, pixels, alpha);
@@ -372,28 +337,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stereo_counts_unless_it_looks_through_the_splat() {
-        assert_eq!([joined(f32::NAN, 2.0), joined(2.5, 2.0), joined(1.99, 2.0)], [2.0; 3]);
-        assert_eq!(joined(1.5, 2.0), 1.5);
-    }
-
-    #[test]
     fn a_rectangle_is_known_at_its_place_and_nowhere_else() {
         let depth = vec![0.0, 2.0, 3.0, 4.0];
         let stereo = MeasuredDepth { size: [4, 3], corner: [2, 1], columns: 2, depth };
         assert_eq!(stereo.known().collect::<Vec<_>>(), [(7, 2.0), (10, 3.0), (11, 4.0)]);
-        // A splat of twice the size, 5 away wherever it is: what stereo knows is nearer.
-        let joined =
-            MeasuredDepth { size: [8, 6], corner: [0; 2], columns: 8, depth: vec![5.0; 48] }.joined(&stereo);
-        for (i, z) in joined.depth.iter().enumerate() {
-            let expected = match (i % 8 / 2, i / 8 / 2) {
-                (3, 1) => 2.0,
-                (2, 2) => 3.0,
-                (3, 2) => 4.0,
-                _ => 5.0,
-            };
-            assert_eq!(*z, expected, "pixel {i}");
-        }
+        assert_eq!(
+            [stereo.at(3, 1), stereo.at(2, 2), stereo.at(2, 1), stereo.at(1, 1)],
+            [Some(2.0), Some(3.0), None, None,]
+        );
     }
 
     #[test]

@@ -130,9 +130,8 @@ pub fn measure(
     let from = config.mesh_depths;
     let depths = if from.by_stereo() { Some(dense::depths(out, dataset, progress)?) } else { None };
     let dense = judge(depths.as_ref().map_or(Vec::new(), |d| some_points(&dense::cloud(d, dataset))));
-    let measured = depths.map(dense::only_depths);
     let by_splat = from.by_splat().then_some((gaussians, antialias));
-    let mesh_made = dense::mesh(measured.as_deref(), by_splat, dataset, DEFAULT_RESOLUTION, progress)?;
+    let mesh_made = dense::mesh(depths, by_splat, dataset, DEFAULT_RESOLUTION, progress)?;
     let fused = judge(mesh_made.sample(SAMPLES, 0));
     let seen = 100.0 * surface.len() as f64 / SAMPLES as f64;
     let protocol = format!(

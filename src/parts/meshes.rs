@@ -14,9 +14,6 @@ use std::path::Path;
 
 /// Places of a part that say how deep it lies. Source: as many as a sparse cloud has.
 const PLACES: usize = 5_000;
-/// Gaussians nearer to a camera than this share of their median distance are not seen.
-/// Source: as in training.
-const NEAR: f64 = 0.01;
 
 /// What the splat shows in a view: all parts together.
 struct PartsView {
@@ -81,7 +78,7 @@ fn shown(
         let mut out = PartsView { depth: vec![0.0; pixels], owner, meets };
         for (number, own) in of_parts.iter().enumerate() {
             let pose = view.pose.compose(&motion(parts, view, number));
-            let near = NEAR * own.median_distance(pose.centre());
+            let near = dense::NEAR * own.median_distance(pose.centre());
             let depths = median_depth(own, &view.camera, &pose, near, false);
             for (i, z) in depths.into_iter().enumerate().filter_map(|(i, z)| Some((i, z? as f32))) {
                 out.meets[i] |= 1 << number;
@@ -109,15 +106,15 @@ fn measured(
         .iter()
         .map(|s| s.meets.iter().map(|bits| if bits >> number & 1 == 1 { u8::MAX } else { 0 }).collect())
         .collect();
-    let stereo = dense::part_depths(dataset, &masks, &some_places(own), progress)?;
-    let both = shown.iter().zip(&stereo).zip(&dataset.views).map(|((s, stereo), view)| {
+    let splat = shown.iter().zip(&dataset.views).map(|(s, view)| {
         let own = s.depth.iter().zip(&s.owner);
         let depth = own.map(|(z, owner)| if *owner == number { *z } else { 0.0 }).collect();
         let columns = view.camera.width as usize;
         let size = [columns, view.camera.height as usize];
-        MeasuredDepth { size, corner: [0; 2], columns, depth }.joined(stereo)
+        MeasuredDepth { size, corner: [0; 2], columns, depth }
     });
-    Ok(both.collect())
+    let splat: Vec<MeasuredDepth> = splat.collect();
+    dense::part_depths(dataset, &masks, &some_places(own), &splat, progress)
 }
 
 /// Some places of Gaussians that are more opaque than not.

@@ -47,7 +47,7 @@ impl DenseDepths {
                             mean.add(&self.fields[view], &views[view], j);
                         }
                     }
-                    points.extend(mean.point(self.least_views));
+                    points.extend(mean.point(u32::from(self.settings.agreeing) + 1));
                 }
             }
         }
@@ -60,7 +60,7 @@ impl DenseDepths {
         let pixel = [x as f32 + 0.5, y as f32 + 0.5];
         let met = pairs.iter().filter_map(|pair| {
             let found: Meeting = meeting(pixel, field.depth[i], pair, &self.fields[pair.view])?;
-            found.is_near(&self.tolerance).then_some((pair.view, found.index))
+            found.is_near(&self.settings.tolerance).then_some((pair.view, found.index))
         });
         met.collect()
     }

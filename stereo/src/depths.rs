@@ -7,7 +7,7 @@ use crate::level::LevelImage;
 use crate::neighbours::Layout;
 use crate::pair::Pair;
 use crate::seen_through::drop_seen_through;
-use crate::settings::{StereoSettings, Tolerance};
+use crate::settings::StereoSettings;
 use crate::sweep::{Job, ViewJob, swept};
 use crate::view::{StereoError, check};
 use glam::DVec3;
@@ -24,8 +24,7 @@ pub struct DenseDepths {
     /// In the order of the views.
     pub fields: Vec<PlaneField>,
     pub(crate) pairs: Vec<Vec<Pair>>,
-    pub(crate) tolerance: Tolerance,
-    pub(crate) least_views: u32,
+    pub(crate) settings: StereoSettings,
 }
 
 /// Depths and normals of every view, in the order of the views; those on which too few other views
@@ -75,8 +74,7 @@ pub fn dense_depths(
 
 impl DenseDepths {
     pub(crate) fn new(fields: Vec<PlaneField>, pairs: Vec<Vec<Pair>>, settings: &StereoSettings) -> Self {
-        let least_views = u32::from(settings.agreeing) + 1;
-        Self { fields, pairs, tolerance: settings.tolerance, least_views }
+        Self { fields, pairs, settings: *settings }
     }
 }
 

@@ -19,6 +19,7 @@ mod correlation;
 mod depths;
 mod field;
 mod hull;
+mod joined;
 mod kept;
 mod level;
 mod neighbours;
@@ -32,6 +33,7 @@ mod view;
 pub use cloud::StereoPoint;
 pub use depths::{DenseDepths, dense_depths};
 pub use field::PlaneField;
+pub use joined::DepthJoin;
 pub use settings::{StereoSettings, Tolerance};
 pub use view::StereoError;
 

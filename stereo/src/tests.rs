@@ -160,6 +160,34 @@ fn depths_that_were_kept_are_those_that_were_found() {
 }
 
 #[test]
+fn a_depth_before_that_by_stereo_counts_where_the_photos_do_not_contradict() {
+    let shot = Shot::new(1.0, 5, 96);
+    let (views, points) = (shot.views(), shot.points());
+    let found = dense_depths(&views, &points, &settings(), &Progress::silent()).unwrap();
+    let own = &found.fields[2].depth;
+    let known = own.iter().filter(|z| **z > 0.0).count();
+    let share = |joined: &[f32], factor: f32| {
+        let same = joined.iter().zip(own).filter(|(a, b)| **b > 0.0 && **a == factor * **b);
+        same.count() as f32 / known as f32
+    };
+    let nearer = |factor: f32| own.iter().map(|z| factor * z).collect::<Vec<f32>>();
+    // The texture is seen: a surface 10 % nearer is refuted, one behind never counts.
+    let join = DepthJoin::new(&found, &views);
+    assert!(known > 500 && share(&join.joined(2, &nearer(0.9)), 1.0) > 0.95);
+    assert_eq!(share(&join.joined(2, &nearer(1.1)), 1.0), 1.0);
+    // Nothing is known there by one of the two, or by both.
+    assert_eq!(join.joined(2, &vec![0.0; own.len()]), *own);
+    let unknown = join.joined(2, &vec![7.0; own.len()]);
+    assert!(unknown.iter().zip(own).all(|(a, b)| if *b > 0.0 { a == b } else { *a == 7.0 }));
+    // Of a blank face the photos say nothing.
+    let grey = vec![130; shot.photos[0].as_raw().len()];
+    let plain: Vec<PosedPhoto> = views.iter().map(|v| PosedPhoto { rgb: &grey, mask: None, ..*v }).collect();
+    let join = DepthJoin::new(&found, &plain);
+    assert!(share(&join.joined(2, &nearer(0.9)), 0.9) > 0.95);
+    assert_eq!(share(&join.joined(2, &nearer(0.99)), 1.0), 1.0, "less than the errors of both");
+}
+
+#[test]
 fn what_cannot_be_matched_has_no_depth_and_nothing_panics() {
     let shot = Shot::new(1.0, 5, 96);
     let (views, points) = (shot.views(), shot.points());
