@@ -106,6 +106,20 @@ pub struct Pixels {
     pub mask: Option<Vec<u8>>,
 }
 
+impl Pixels {
+    /// Makes black what the mask cuts out entirely. Pages of zeros that nobody has written to take
+    /// no memory: what lies above and below an object costs nothing.
+    fn clear(&mut self) {
+        let Some(mask) = &mut self.mask else { return };
+        let (mut rgb, mut kept) = (vec![0; self.rgb.len()], vec![0; mask.len()]);
+        for i in (0..mask.len()).filter(|&i| mask[i] > 0) {
+            kept[i] = mask[i];
+            rgb[3 * i..3 * i + 3].copy_from_slice(&self.rgb[3 * i..3 * i + 3]);
+        }
+        (self.rgb, *mask) = (rgb, kept);
+    }
+}
+
 /// A posed image.
 #[derive(Clone, Debug)]
 pub struct View {
@@ -218,8 +232,11 @@ impl Dataset {
         let normalisation = NormalisedFrame::of(model);
         let load = |(index, image): (usize, &&PosedImage)| {
             let held_out = config.holds_out(&image.name, index, images.len());
-            let view = load_view(image_dir, mask_dir, model, image, &normalisation, held_out)?;
+            let mut view = load_view(image_dir, mask_dir, model, image, &normalisation, held_out)?;
             progress.tick()?;
+            if config.alpha == AlphaMode::Transparent {
+                view.levels.iter_mut().for_each(Pixels::clear);
+            }
             Ok(view)
         };
         let views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, SplatError>>()?;

@@ -99,6 +99,18 @@ impl Model {
         }
     }
 
+    /// The same of a model that is not needed any more.
+    pub(crate) fn into_gaussians(mut self) -> Gaussians {
+        let sh = std::mem::take(&mut self.sh);
+        Gaussians { sh, ..self.to_gaussians() }
+    }
+
+    /// Gives up the moments, two thirds of the memory: no step follows.
+    pub(crate) fn forget_moments(&mut self) {
+        (self.geometry_m, self.geometry_v) = (Planes::default(), Planes::default());
+        (self.sh_m, self.sh_v) = (Vec::new(), Vec::new());
+    }
+
     /// SH values of one Gaussian, 3K.
     pub(crate) fn sh_stride(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) * 3
@@ -171,7 +183,7 @@ impl Model {
     pub(crate) fn select(&mut self, order: &[u32]) {
         let k = self.sh_stride();
         for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
-            for plane in planes.iter_mut() {
+            for plane in planes.iter_mut().filter(|plane| !plane.is_empty()) {
                 *plane = order.iter().map(|&i| plane[i as usize]).collect();
             }
         }
@@ -180,6 +192,9 @@ impl Model {
             self.part = order.iter().map(|&i| self.part[i as usize]).collect();
         }
         for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
+            if values.is_empty() {
+                continue;
+            }
             let mut kept = Vec::with_capacity(order.len() * k);
             order.iter().for_each(|&i| kept.extend_from_slice(&values[i as usize * k..(i as usize + 1) * k]));
             *values = kept;

@@ -244,10 +244,11 @@ impl<'a> Session<'a> {
     pub(super) fn finish(mut self) -> Result<TrainResult, SplatError> {
         let timings = self.backend.times();
         let (mut model, _) = self.backend.release()?;
+        model.forget_moments();
         let (mut step, rules) = self.context();
         rules.after_training(&step, &mut model);
         let moving = rules.moving(&step, &mut model);
-        let mut gaussians = model.to_gaussians();
+        let mut gaussians = model.into_gaussians();
         let poses = rules.conclude(&mut step, &mut gaussians);
         self.conclude();
         let (dataset, config) = (self.setup.dataset, self.setup.config);
