@@ -94,9 +94,10 @@ fn write_file(
     put(&(header.len() as u64).to_le_bytes())?;
     put(&header)?;
     let mut bytes = Vec::new();
-    for array in arrays(model, statistics) {
+    // A piece at a time: an array is as large as the Gaussians are.
+    for some in arrays(model, statistics).into_iter().flat_map(|array| array.chunks(4096)) {
         bytes.clear();
-        bytes.extend(array.iter().flat_map(|value| value.to_le_bytes()));
+        bytes.extend(some.iter().flat_map(|value| value.to_le_bytes()));
         put(&bytes)?;
     }
     file.write_all(&sum.finalize().to_le_bytes())?;
