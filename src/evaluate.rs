@@ -64,6 +64,17 @@ pub fn load_to_train(training_set: &Path, config: &DatasetConfig, progress: &Pro
     Ok(dataset)
 }
 
+/// The same for training a splat, which makes coarser levels when it needs them.
+pub fn load_to_train_splat(
+    training_set: &Path,
+    config: &DatasetConfig,
+    progress: &Progress,
+) -> Result<Dataset> {
+    let mut dataset = load_to_train(training_set, config, progress)?;
+    dataset.views.iter_mut().for_each(|view| view.levels.truncate(1));
+    Ok(dataset)
+}
+
 /// The networks of the weights that were given.
 pub fn load_networks(weights: &[PathBuf]) -> Result<Vec<Lpips>> {
     weights.iter().map(|path| Ok(Lpips::load(path)?)).collect()

@@ -452,7 +452,7 @@ impl Pipeline {
         let progress = self.progress("train");
         let checkpoints = self.stages.keep("train", print)?;
         let begun = self.args.train.limit_clock.seconds();
-        let dataset = evaluate::load_to_train(training_set, &self.args.dataset, &progress)?;
+        let dataset = evaluate::load_to_train_splat(training_set, &self.args.dataset, &progress)?;
         let mut config = self.args.train.clone();
         config.seed = self.args.seed;
         config.seconds_gone = config.limit_clock.seconds() - begun;

@@ -60,7 +60,7 @@ pub(crate) const MATTE_MARGIN_PX: usize = 2;
 /// Source: chosen by hand, never measured.
 const AT_ONE_PLACE: f64 = 0.02;
 /// Resolutions kept of each view: full to 1/8. Source: `--coarse-levels` is 2 by default.
-const LEVELS: u32 = 4;
+pub(crate) const LEVELS: u32 = 4;
 
 /// Colour of points that have none yet. Source: any will do.
 const GREY: [u8; 3] = [128; 3];
@@ -437,7 +437,7 @@ pub fn pyramid(full: Pixels) -> Vec<Pixels> {
 
 /// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is
 /// transparent does not bleed in.
-fn shrink(full: &Pixels, level: u32) -> Pixels {
+pub(crate) fn shrink(full: &Pixels, level: u32) -> Pixels {
     let (width, height) = (level_size(full.width, level), level_size(full.height, level));
     let mut rgb = Vec::with_capacity(width * height * 3);
     let mut mask = full.mask.as_ref().map(|_| Vec::with_capacity(width * height));

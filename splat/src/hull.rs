@@ -1,10 +1,11 @@
 //! The visual hull: what the mattes of the training views leave room for.
 
-use crate::dataset::{MATTE_MARGIN_PX, View};
+use crate::dataset::{MATTE_MARGIN_PX, View, shrink};
 use crate::model::Model;
 use crate::view::PinholeView;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// How a hull is told from mattes. Numbers without a source were chosen by hand, never measured.
 struct HullRules {
@@ -71,8 +72,9 @@ impl VisualHull {
 
 impl Silhouette {
     fn of(view: &View) -> Option<Self> {
-        let level = RULES.level.min(view.levels.len() - 1);
-        let pixels = &view.levels[level];
+        let level = RULES.level;
+        let made = || Cow::Owned(shrink(&view.levels[0], level as u32));
+        let pixels = view.levels.get(level).map_or_else(made, Cow::Borrowed);
         let mask = pixels.mask.as_ref()?;
         let (w, h) = (pixels.width, pixels.height);
         let margin = MATTE_MARGIN_PX >> RULES.level;

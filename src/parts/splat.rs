@@ -29,7 +29,7 @@ impl PartsTraining<'_> {
         config.train.antialias = false;
         let set = folder.join("undistorted");
         sfm::undistort(self.frames, self.model, &set, progress)?;
-        let mut dataset = evaluate::load_to_train(&set, &config.dataset, progress)?;
+        let mut dataset = evaluate::load_to_train_splat(&set, &config.dataset, progress)?;
         let moving = self.moving(&dataset);
         dataset.articulate(moving, &self.parts.parts.iter().map(places_of).collect::<Vec<_>>());
         let checkpoints = folder.join(".train");

@@ -82,12 +82,10 @@ impl RuleContext<'_> {
 }
 
 impl<'a> RuleContext<'a> {
-    /// A view and its photo at a level, or the coarsest one that it has.
+    /// A view and its photo at the level in use or at full resolution.
     pub(crate) fn photo(&self, view: usize, level: u32) -> (PinholeView, Target<'a>) {
         let dataset = self.setup.dataset;
-        let levels = &dataset.views[view].levels;
-        let level = level.min(levels.len() as u32 - 1);
-        let pixels = &levels[level as usize];
+        let (pixels, level) = self.setup.photo(view, level);
         let target = Target {
             rgb: &pixels.rgb,
             mask: pixels.mask.as_deref(),

@@ -119,9 +119,11 @@ impl<'a> Session<'a> {
     /// Takes a step, and moves the position.
     pub(super) fn step(&mut self) -> Result<(), SplatError> {
         let begun = self.seconds();
-        let (mut step, rules) = self.context();
+        let (step, _) = self.context();
         let steps = step.expected_steps();
         step.state.place.decide_early(steps);
+        self.hold_photos();
+        let (mut step, rules) = self.context();
         rules.before_step(&mut step)?;
         let (view, outputs) = self.train_on_next_view()?;
         self.state.place.iteration += 1;
@@ -178,6 +180,12 @@ impl<'a> Session<'a> {
         let (config, state) = (self.setup.config, &mut self.state);
         let level = state.place.level(config.coarse_levels);
         state.place.position = state.pace.advance(&state.place, config, level, cost, most);
+        self.hold_photos();
+    }
+
+    /// Has the photos at the level in use at hand.
+    fn hold_photos(&mut self) {
+        self.setup.hold(self.state.place.level(self.setup.config.coarse_levels));
     }
 
     /// Lets the rules look at what was learnt so far.

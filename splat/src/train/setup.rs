@@ -2,10 +2,11 @@
 //! them.
 
 use crate::config::TrainConfig;
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, LEVELS, Pixels, shrink};
 use crate::error::SplatError;
 use crate::footprint::footprint;
 use crate::hull::VisualHull;
+use rayon::prelude::*;
 
 /// One training view in this many judges while Gaussians and degrees are added, and is trained on
 /// afterwards.
@@ -31,6 +32,15 @@ pub(crate) struct TrainingSetup<'a> {
     pub(crate) pixel: f32,
     /// What the mattes leave room for, where the background shows through.
     pub(crate) hull: Option<VisualHull>,
+    /// The photos of the level in use.
+    coarse: CoarsePhotos,
+}
+
+/// Photos of the training views at a level; none at full resolution, which the data set has.
+#[derive(Default)]
+struct CoarsePhotos {
+    level: u32,
+    photos: Vec<Pixels>,
 }
 
 impl<'a> TrainingSetup<'a> {
@@ -49,7 +59,27 @@ impl<'a> TrainingSetup<'a> {
         let matted = views.iter().filter(|_| dataset.is_transparent()).map(|&v| &dataset.views[v]);
         let hull = VisualHull::of(matted);
         let pixel = footprint(dataset);
-        Ok(Self { dataset, config, views, validation, cloud_points, max_gaussians, pixel, hull })
+        let coarse = CoarsePhotos::default();
+        Ok(Self { dataset, config, views, validation, cloud_points, max_gaussians, pixel, hull, coarse })
+    }
+
+    /// Makes the photos of a level, in place of those of the one before.
+    pub(crate) fn hold(&mut self, level: u32) {
+        let level = level.min(LEVELS - 1);
+        if level != self.coarse.level {
+            self.coarse.photos.clear();
+            let views = self.views.par_iter().filter(|_| level > 0);
+            let photos = views.map(|&v| shrink(&self.dataset.views[v].levels[0], level)).collect();
+            self.coarse = CoarsePhotos { level, photos };
+        }
+    }
+
+    /// The photo of a training view at the level in use, and that level; at full resolution for
+    /// any other.
+    pub(crate) fn photo(&self, view: usize, level: u32) -> (&Pixels, u32) {
+        let place = self.views.binary_search(&view).ok();
+        let coarse = place.filter(|_| level > 0).and_then(|p| self.coarse.photos.get(p));
+        coarse.map_or((&self.dataset.views[view].levels[0], 0), |photo| (photo, self.coarse.level))
     }
 
     /// `count` of the training views, evenly: the middle one of each share; all where there are no
