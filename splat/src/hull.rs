@@ -73,8 +73,10 @@ impl VisualHull {
 impl Silhouette {
     fn of(view: &View) -> Option<Self> {
         let level = RULES.level;
-        let made = || Cow::Owned(shrink(&view.levels[0], level as u32));
-        let pixels = view.levels.get(level).map_or_else(made, Cow::Borrowed);
+        let pixels = match view.levels.get(level) {
+            Some(pixels) => Cow::Borrowed(pixels),
+            None => Cow::Owned(shrink(&view.levels[0], level as u32)),
+        };
         let mask = pixels.mask.as_ref()?;
         let (w, h) = (pixels.width, pixels.height);
         let margin = MATTE_MARGIN_PX >> RULES.level;

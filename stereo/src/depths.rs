@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use scene::{PosedPhoto, Progress};
 
 /// Views whose fields are made before the old ones are replaced: two copies of so many are held at
-/// once. Source: some for each core; whatever it is, results do not depend on the number of threads.
+/// once. Source: some for each core; results do not depend on the number of threads.
 const AT_ONCE: usize = 16;
 
 /// What the views see.

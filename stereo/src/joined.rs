@@ -80,20 +80,21 @@ impl<'a> DepthJoin<'a> {
 
 /// The plane of a depth of a map and of those beside it.
 fn sloped(depth: &[f32], width: usize, i: usize, pixel: [f32; 2]) -> PlaneAt {
-    let far = LIMITS.slope_px;
-    // Of the inverse depth, in which a plane is linear; 0 where a neighbour is unknown or on
-    // another surface.
-    let slope = |low: Option<usize>, high: Option<usize>| {
-        let [low, high] = [low, high].map(|j| depth.get(j?).copied().filter(|z| *z > 0.0));
-        let (Some(low), Some(high)) = (low, high) else { return 0.0 };
-        let near = (low / high - 1.0).abs() < LIMITS.seen_through * far as f32;
-        if near { (1.0 / high - 1.0 / low) / (2 * far) as f32 } else { 0.0 }
-    };
-    let column = i % width;
-    let across = slope((column >= far).then(|| i - far), (column + far < width).then_some(i + far));
-    let down = slope(i.checked_sub(far * width), Some(i + far * width));
+    let (far, column) = (LIMITS.slope_px, i % width);
+    let across = slope(depth, (column >= far).then(|| i - far), (column + far < width).then_some(i + far));
+    let down = slope(depth, i.checked_sub(far * width), Some(i + far * width));
     let constant = 1.0 / depth[i] - across * pixel[0] - down * pixel[1];
     PlaneAt { pixel, depth: depth[i], row: [across, down, constant] }
+}
+
+/// Of the inverse depth, in which a plane is linear; 0 where a neighbour is unknown or on another
+/// surface.
+fn slope(depth: &[f32], low: Option<usize>, high: Option<usize>) -> f32 {
+    let [low, high] = [low, high].map(|j| depth.get(j?).copied().filter(|z| *z > 0.0));
+    let (Some(low), Some(high)) = (low, high) else { return 0.0 };
+    let far = (2 * LIMITS.slope_px) as f32;
+    let near = (low / high - 1.0).abs() < LIMITS.seen_through / 2.0 * far;
+    if near { (1.0 / high - 1.0 / low) / far } else { 0.0 }
 }
 
 /// One minus the correlation: the mean of the views in which it is least.
