@@ -66,6 +66,18 @@ pub(crate) fn padded(n: usize) -> usize {
     n.div_ceil(LANE_PAD) * LANE_PAD
 }
 
+/// Keeps the groups of `k` values whose indices are in `order`, which ascends; nothing of nothing.
+fn compact<T: Copy>(values: &mut Vec<T>, order: &[u32], k: usize) {
+    if values.is_empty() {
+        return;
+    }
+    for (to, &from) in order.iter().enumerate() {
+        let from = from as usize * k;
+        values.copy_within(from..from + k, to * k);
+    }
+    values.truncate(order.len() * k);
+}
+
 impl Model {
     /// From Gaussians, moments zero.
     pub fn from_gaussians(g: &Gaussians) -> Self {
@@ -203,13 +215,25 @@ impl Model {
         self.pad();
     }
 
-    /// Keeps the Gaussians in `order` unless there are none; returns how many were removed.
+    /// Keeps the Gaussians in `order`, which ascends, unless there are none; returns how many were
+    /// removed. In place: a copy of the harmonics would be the peak of a run's memory.
     pub(crate) fn keep(&mut self, order: &[u32]) -> usize {
         let removed = self.len - order.len();
         if removed == 0 || order.is_empty() {
             return 0;
         }
-        self.select(order);
+        debug_assert!(order.windows(2).all(|pair| pair[0] < pair[1]), "the order must ascend");
+        let k = self.sh_stride();
+        for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
+            planes.iter_mut().for_each(|plane| compact(plane, order, 1));
+        }
+        compact(&mut self.steps, order, 1);
+        compact(&mut self.part, order, 1);
+        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
+            compact(values, order, k);
+        }
+        self.len = order.len();
+        self.pad();
         removed
     }
 
