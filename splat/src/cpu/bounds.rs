@@ -4,11 +4,8 @@
 
 use super::project::Record;
 use super::simd::{Simd, array};
-use super::tile::{TILE, Tile};
+use super::tile::{ACROSS, PIXELS, STRIPS, TILE, Tile};
 use crate::model::LANE_PAD;
-
-/// Most columns of vectors of a tile. Source: the fewest lanes are four.
-const COLUMNS: usize = TILE / 4;
 
 /// A number for each Gaussian of a batch.
 #[repr(C, align(64))]
@@ -21,15 +18,15 @@ pub(super) struct Bounds {
     /// Columns of pixels, half-open, as numbers to be truncated.
     left: Lanes,
     right: Lanes,
-    /// Rows by column of vectors, likewise.
-    top: [Lanes; COLUMNS],
-    bottom: [Lanes; COLUMNS],
+    /// Rows by strip, likewise.
+    top: [Lanes; STRIPS],
+    bottom: [Lanes; STRIPS],
 }
 
 impl Bounds {
     pub(super) fn new() -> Self {
         let zero = Lanes([0.0; LANE_PAD]);
-        Self { left: zero, right: zero, top: [zero; COLUMNS], bottom: [zero; COLUMNS] }
+        Self { left: zero, right: zero, top: [zero; STRIPS], bottom: [zero; STRIPS] }
     }
 
     /// Works out the bounds of up to [`LANE_PAD`] of a tile's Gaussians.
@@ -48,36 +45,47 @@ impl Bounds {
             let [x, y, extent, tilt, chord, bend, slope] = array!(f in 7 => S::read(&shapes[f].0[at..]));
             first_pixel(x.sub(extent)).write(&mut self.left.0[at..]);
             last_pixel(x.add(extent)).write(&mut self.right.0[at..]);
-            // Rows that the ellipse covers within a column of vectors: between the lowest and the
-            // highest point of the part of the ellipse above the column. Offsets are pixel −
-            // centre; the whole ellipse's lie at ± tilt.
+            // Rows that the ellipse covers within a strip: between the lowest and the highest point
+            // of the part of the ellipse above the strip. Offsets are pixel − centre; the whole
+            // ellipse's lie at ± tilt.
             let zero = S::splat(0.0);
-            for column in 0..TILE / S::LANES {
-                let left = S::splat((column * S::LANES) as f32 + 0.5).sub(x);
-                let right = left.add(S::splat((S::LANES - 1) as f32));
+            for strip in 0..STRIPS {
+                let left = S::splat((strip * ACROSS) as f32 + 0.5).sub(x);
+                let right = left.add(S::splat((ACROSS - 1) as f32));
                 let (high_x, low_x) = (zero.sub(tilt).max(left).min(right), tilt.max(left).min(right));
                 let low = slope.fnma(low_x, y).sub(half_chord(chord, bend, low_x));
                 let high = slope.fnma(high_x, y).add(half_chord(chord, bend, high_x));
-                first_pixel(low).write(&mut self.top[column].0[at..]);
-                last_pixel(high).write(&mut self.bottom[column].0[at..]);
+                first_pixel(low).write(&mut self.top[strip].0[at..]);
+                last_pixel(high).write(&mut self.bottom[strip].0[at..]);
             }
         }
     }
 
-    /// Columns of vectors that Gaussian `k` of the batch covers, half-open.
+    /// Vectors of a tile's pixels that Gaussian `k` of the batch reaches: bit b is that from pixel
+    /// `b · LANES` of a [`super::tile::TilePlane`] on.
     #[inline(always)]
-    pub(super) fn columns<S: Simd>(&self, k: usize) -> [usize; 2] {
+    pub(super) fn blocks<S: Simd>(&self, k: usize) -> u64 {
+        let rows = S::LANES / ACROSS;
+        let of_strip = TILE / rows;
         // SAFETY: every bound is at least 0 and at most TILE.
         let [left, right] = unsafe { [truncated(self.left.0[k]), truncated(self.right.0[k])] };
-        [left / S::LANES, right.div_ceil(S::LANES)]
+        let mut blocks = 0;
+        for strip in left / ACROSS..right.div_ceil(ACROSS) {
+            // SAFETY: every bound is at least 0 and at most TILE.
+            let [top, bottom] =
+                unsafe { [truncated(self.top[strip].0[k]), truncated(self.bottom[strip].0[k])] };
+            let (first, end) = (top / rows, bottom.div_ceil(rows));
+            let reached = (1u64 << end.max(first)) - (1u64 << first);
+            blocks |= reached << (strip * of_strip);
+        }
+        blocks
     }
+}
 
-    /// Rows that it covers within a column of vectors, half-open.
-    #[inline(always)]
-    pub(super) fn rows(&self, k: usize, column: usize) -> [usize; 2] {
-        // SAFETY: every bound is at least 0 and at most TILE.
-        unsafe { [truncated(self.top[column].0[k]), truncated(self.bottom[column].0[k])] }
-    }
+/// All vectors of a tile, as [`Bounds::blocks`].
+#[inline(always)]
+pub(super) fn all_blocks<S: Simd>() -> u64 {
+    u64::MAX >> (u64::BITS as usize - PIXELS / S::LANES)
 }
 
 /// Half the ellipse's height at an offset.
@@ -115,7 +123,8 @@ mod tests {
 
     struct Extreme {
         records: Vec<Record>,
-        largest: usize,
+        outside: usize,
+        most: u32,
     }
 
     #[inline(always)]
@@ -124,11 +133,9 @@ mod tests {
         let mut bounds = Bounds::new();
         for i in 0..a.records.len() as u32 {
             bounds.fill::<S>(&a.records, &[i], &tile);
-            let [x0, x1] = bounds.columns::<S>(0);
-            a.largest = a.largest.max(x0 * S::LANES).max(x1 * S::LANES);
-            for column in 0..TILE / S::LANES {
-                bounds.rows(0, column).into_iter().for_each(|y| a.largest = a.largest.max(y));
-            }
+            let blocks = bounds.blocks::<S>(0);
+            a.outside += usize::from(blocks & !all_blocks::<S>() != 0);
+            a.most = a.most.max((blocks & all_blocks::<S>()).count_ones() * S::LANES as u32);
         }
     }
     simd_kernel!(fn extreme(arguments: &mut Extreme) = extreme_generic);
@@ -151,9 +158,9 @@ mod tests {
         let some = if cfg!(miri) { 61 } else { 1 };
         let records: Vec<Record> = (0..4096).step_by(some).map(record).collect();
         for isa in Isa::available() {
-            let mut a = Extreme { records: records.clone(), largest: 0 };
+            let mut a = Extreme { records: records.clone(), outside: 0, most: 0 };
             extreme(isa, &mut a);
-            assert_eq!(a.largest, TILE, "{isa:?}");
+            assert_eq!((a.outside, a.most), (0, PIXELS as u32), "{isa:?}");
         }
     }
 

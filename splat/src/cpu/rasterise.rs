@@ -3,14 +3,14 @@
 //! tiles.
 //!
 //! `C = Σ T_i α_i c_i + T background`, `T_i = Π_{j<i} (1 − α_j)` (Kerbl et al. 2023, eq. 3). SIMD
-//! across the pixels of a row; inside a tile only the columns and rows of the Gaussian's box are
-//! visited.
+//! across blocks of pixels; inside a tile only the blocks are visited that the Gaussian's ellipse
+//! reaches and that are not finished.
 
-use super::bounds::Bounds;
+use super::bounds::{Bounds, all_blocks};
 use super::dispatch::simd_kernel;
 use super::project::{LOG2_255, Record};
 use super::simd::{Simd, array};
-use super::tile::{PIXELS, TILE, Tile, TilePlane};
+use super::tile::{CENTRES, PIXELS, Tile, TilePlane};
 use crate::model::LANE_PAD;
 use crate::reference::constants::{MAX_ALPHA, MIN_TRANSMITTANCE};
 
@@ -18,25 +18,37 @@ use crate::reference::constants::{MAX_ALPHA, MIN_TRANSMITTANCE};
 /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α. Source: derived.
 pub(super) const SUMS: usize = 10;
 
-/// Exponents of a Gaussian along a column of vectors: `power = dy (dy half_yy + dx xy) + dx²
-/// half_xx`.
-struct VectorColumn<S: Simd> {
-    dx: S,
-    square: S,
-    linear: S,
+/// A Gaussian's ellipse over a tile.
+struct Ellipse<S: Simd> {
+    x: S,
+    y: S,
+    half_xx: S,
+    xy: S,
+    half_yy: S,
 }
 
-impl<S: Simd> VectorColumn<S> {
+impl<S: Simd> Ellipse<S> {
     #[inline(always)]
-    fn new(g: &Record, x: usize) -> Self {
-        let dx = S::splat(g.x - x as f32 - 0.5).sub(S::iota());
-        Self { dx, square: dx.mul(dx).mul(S::splat(g.half_xx)), linear: dx.mul(S::splat(g.xy)) }
+    fn new(g: &Record, tile: &Tile) -> Self {
+        Self {
+            x: S::splat(g.x - tile.x as f32),
+            y: S::splat(g.y - tile.y as f32),
+            half_xx: S::splat(g.half_xx),
+            xy: S::splat(g.xy),
+            half_yy: S::splat(g.half_yy),
+        }
     }
 
-    /// `power` of row offset `dy`, with `half_yy_dy = half_yy · dy`.
+    /// Centre − pixel of the vector of pixels from `at` on.
     #[inline(always)]
-    fn power(&self, dy: f32, half_yy_dy: f32) -> S {
-        self.linear.add(S::splat(half_yy_dy)).fma(S::splat(dy), self.square)
+    fn offset(&self, at: usize) -> [S; 2] {
+        [self.x.sub(CENTRES[0].get(at)), self.y.sub(CENTRES[1].get(at))]
+    }
+
+    /// Its exponent there, `dy (dy half_yy + dx xy) + dx² half_xx`.
+    #[inline(always)]
+    fn power(&self, [dx, dy]: [S; 2]) -> S {
+        dy.fma(self.half_yy, dx.mul(self.xy)).fma(dy, dx.mul(dx).mul(self.half_xx))
     }
 }
 
@@ -90,46 +102,46 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut TilePla
     let (records, all, tile) = (a.records, a.list, a.tile);
     let (rgb, transmittance) = (&mut *a.rgb, &mut *a.transmittance);
     let mut bounds = Bounds::new();
+    let mut open = all_blocks::<S>();
     for (index, list) in all.chunks(LANE_PAD).enumerate() {
-        if finished::<S>(transmittance) {
+        if open == 0 {
             a.used = index * LANE_PAD;
             return;
         }
         prefetch::<S>(records, all, (index + 1) * LANE_PAD);
         bounds.fill::<S>(records, list, &tile);
         for (k, &i) in list.iter().enumerate() {
+            let mut blocks = bounds.blocks::<S>(k) & open;
             let g = &records[i as usize];
             let log2_opacity = S::splat(g.log2_opacity);
             let colours = array!(c in 3 => S::splat(g.rgb[c]));
-            let [x0, x1] = bounds.columns::<S>(k);
-            for column in x0..x1 {
-                let x = column * S::LANES;
-                let [y0, y1] = bounds.rows(k, column);
-                let power = VectorColumn::<S>::new(g, tile.x + x);
-                for y in y0..y1 {
-                    let at = y * TILE + x;
-                    let dy = g.y - (tile.y + y) as f32 - 0.5;
-                    let p = power.power(dy, g.half_yy * dy);
-                    let exponent = log2_opacity.sub(p);
-                    let t = transmittance.get::<S>(at);
-                    let valid = S::and(S::and(p.ge(zero), exponent.ge(threshold)), t.ge(zero));
-                    if !S::any(valid) {
-                        continue;
-                    }
-                    let alpha = exponent.exp2().min(max_alpha);
-                    let next = t.mul(one.sub(alpha));
-                    let drawn = S::and(valid, next.ge(min_t));
-                    let weight = t.mul(alpha).keep(drawn);
-                    for (plane, colour) in rgb.iter_mut().zip(colours) {
-                        plane.set(at, weight.fma(colour, plane.get(at)));
-                    }
-                    if DEPTH {
-                        depth.set(at, weight.fma(S::splat(g.depth), depth.get(at)));
-                    }
-                    // Finished pixels keep their transmittance with the sign turned.
-                    let stopped = S::select(valid, zero.sub(t), t);
-                    transmittance.set(at, S::select(drawn, next, stopped));
+            let ellipse = Ellipse::<S>::new(g, &tile);
+            while blocks != 0 {
+                let at = blocks.trailing_zeros() as usize * S::LANES;
+                let block = blocks & blocks.wrapping_neg();
+                blocks ^= block;
+                let t = transmittance.get::<S>(at);
+                let unfinished = t.ge(zero);
+                if !S::any(unfinished) {
+                    open ^= block;
+                    continue;
                 }
+                let p = ellipse.power(ellipse.offset(at));
+                let exponent = log2_opacity.sub(p);
+                let valid = S::and(S::and(p.ge(zero), exponent.ge(threshold)), unfinished);
+                let alpha = exponent.exp2().min(max_alpha);
+                let next = t.mul(one.sub(alpha));
+                let drawn = S::and(valid, next.ge(min_t));
+                let weight = t.mul(alpha).keep(drawn);
+                for (plane, colour) in rgb.iter_mut().zip(colours) {
+                    plane.set(at, weight.fma(colour, plane.get(at)));
+                }
+                if DEPTH {
+                    depth.set(at, weight.fma(S::splat(g.depth), depth.get(at)));
+                }
+                // Finished pixels keep their transmittance with the sign turned.
+                let stopped = S::select(valid, zero.sub(t), t);
+                transmittance.set(at, S::select(drawn, next, stopped));
             }
         }
     }
@@ -154,11 +166,7 @@ fn visit_generic<S: Simd>(a: &mut Visit) {
     for list in a.list.chunks(LANE_PAD) {
         bounds.fill::<S>(a.records, list, &a.tile);
         for k in 0..list.len() {
-            let [x0, x1] = bounds.columns::<S>(k);
-            for column in x0..x1 {
-                let [y0, y1] = bounds.rows(k, column);
-                a.pixels += (y1.saturating_sub(y0) * S::LANES) as u64;
-            }
+            a.pixels += u64::from(bounds.blocks::<S>(k).count_ones()) * S::LANES as u64;
         }
     }
 }
@@ -174,16 +182,6 @@ fn prefetch<S: Simd>(records: &[Record], list: &[u32], index: usize) {
     for &next in list.iter().skip(index).take(LANE_PAD) {
         S::prefetch(records.as_ptr().wrapping_add(next as usize).cast());
     }
-}
-
-/// Whether all pixels are finished.
-#[inline(always)]
-fn finished<S: Simd>(t: &TilePlane) -> bool {
-    let mut most = S::splat(-1.0);
-    for i in (0..PIXELS).step_by(S::LANES) {
-        most = most.max(t.get(i));
-    }
-    !S::any(most.ge(S::splat(0.0)))
 }
 
 simd_kernel!(
@@ -217,62 +215,57 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
     let mut transmittance = tile.start();
     let threshold = S::splat(-LOG2_255);
     let mut bounds = Bounds::new();
+    let mut open = all_blocks::<S>();
     for (index, (list, sums)) in all.chunks(LANE_PAD).zip(a.sums.chunks_mut(LANE_PAD)).enumerate() {
         prefetch::<S>(records, all, (index + 1) * LANE_PAD);
         bounds.fill::<S>(records, list, &tile);
         for (k, (&i, sums)) in list.iter().zip(sums).enumerate() {
+            let mut blocks = bounds.blocks::<S>(k) & open;
             let g = &records[i as usize];
             let log2_opacity = S::splat(g.log2_opacity);
             let rgb = array!(c in 3 => S::splat(g.rgb[c]));
+            let ellipse = Ellipse::<S>::new(g, &tile);
             let mut total = [zero; SUMS];
-            let [x0, x1] = bounds.columns::<S>(k);
-            for column in x0..x1 {
-                let x = column * S::LANES;
-                let [y0, y1] = bounds.rows(k, column);
-                let power = VectorColumn::<S>::new(g, tile.x + x);
-                let dx = power.dx;
-                let (mut v0, mut v1, mut v2) = (zero, zero, zero);
-                for y in y0..y1 {
-                    let at = y * TILE + x;
-                    let dy = g.y - (tile.y + y) as f32 - 0.5;
-                    let p = power.power(dy, g.half_yy * dy);
-                    let exponent = log2_opacity.sub(p);
-                    let t = transmittance.get::<S>(at);
-                    let valid = S::and(S::and(p.ge(zero), exponent.ge(threshold)), t.ge(zero));
-                    if !S::any(valid) {
-                        continue;
-                    }
-                    let raw = exponent.exp2();
-                    let alpha = raw.min(max_alpha);
-                    let clear = one.sub(alpha);
-                    let next = t.mul(clear);
-                    let drawn = S::and(valid, next.ge(min_t));
-                    let weight = t.mul(alpha).keep(drawn);
-                    let gradient = array!(c in 3 => gradients[c].get::<S>(at));
-                    for c in 0..3 {
-                        total[6 + c] = weight.fma(gradient[c], total[6 + c]);
-                    }
-                    total[9] = total[9].add(weight);
-                    let own = gradient[0].fma(rgb[0], gradient[1].fma(rgb[1], gradient[2].mul(rgb[2])));
-                    let behind = weight.fnma(own, remaining.get(at));
-                    remaining.set(at, behind);
-                    // α dL/dα = α (T c·g − behind / (1 − α)); zero where alpha is limited.
-                    let v = weight.mul(own).sub(alpha.mul(behind).mul(clear.reciprocal()));
-                    let v = v.keep(S::and(drawn, raw.lt(max_alpha)));
-                    let vdy = v.mul(S::splat(dy));
-                    v0 = v0.add(v);
-                    v1 = v1.add(vdy);
-                    v2 = vdy.fma(S::splat(dy), v2);
-                    let stopped = S::select(valid, zero.sub(t), t);
-                    transmittance.set(at, S::select(drawn, next, stopped));
+            while blocks != 0 {
+                let at = blocks.trailing_zeros() as usize * S::LANES;
+                let block = blocks & blocks.wrapping_neg();
+                blocks ^= block;
+                let t = transmittance.get::<S>(at);
+                let unfinished = t.ge(zero);
+                if !S::any(unfinished) {
+                    open ^= block;
+                    continue;
                 }
-                let vdx = v0.mul(dx);
-                total[0] = total[0].add(v0);
+                let [dx, dy] = ellipse.offset(at);
+                let p = ellipse.power([dx, dy]);
+                let exponent = log2_opacity.sub(p);
+                let valid = S::and(S::and(p.ge(zero), exponent.ge(threshold)), unfinished);
+                let raw = exponent.exp2();
+                let alpha = raw.min(max_alpha);
+                let clear = one.sub(alpha);
+                let next = t.mul(clear);
+                let drawn = S::and(valid, next.ge(min_t));
+                let weight = t.mul(alpha).keep(drawn);
+                let gradient = array!(c in 3 => gradients[c].get::<S>(at));
+                for c in 0..3 {
+                    total[6 + c] = weight.fma(gradient[c], total[6 + c]);
+                }
+                total[9] = total[9].add(weight);
+                let own = gradient[0].fma(rgb[0], gradient[1].fma(rgb[1], gradient[2].mul(rgb[2])));
+                let behind = weight.fnma(own, remaining.get(at));
+                remaining.set(at, behind);
+                // α dL/dα = α (T c·g − behind / (1 − α)); zero where alpha is limited.
+                let v = weight.mul(own).sub(alpha.mul(behind).mul(clear.reciprocal()));
+                let v = v.keep(S::and(drawn, raw.lt(max_alpha)));
+                let (vdx, vdy) = (v.mul(dx), v.mul(dy));
+                total[0] = total[0].add(v);
                 total[1] = total[1].add(vdx);
-                total[2] = total[2].add(v1);
+                total[2] = total[2].add(vdy);
                 total[3] = vdx.fma(dx, total[3]);
-                total[4] = v1.fma(dx, total[4]);
-                total[5] = total[5].add(v2);
+                total[4] = vdx.fma(dy, total[4]);
+                total[5] = vdy.fma(dy, total[5]);
+                let stopped = S::select(valid, zero.sub(t), t);
+                transmittance.set(at, S::select(drawn, next, stopped));
             }
             for (sum, total) in sums.iter_mut().zip(total) {
                 *sum = total.sum();

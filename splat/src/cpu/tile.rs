@@ -7,11 +7,33 @@ pub(crate) const TILE: usize = 16;
 /// Pixels of a tile. Source: derived.
 pub(crate) const PIXELS: usize = TILE * TILE;
 
-/// A value for each pixel of a tile, row by row. Aligned, so that no vector lies across two cache
-/// lines: those cost twice, and what was just stored comes late to the load that wants it.
+/// Pixels of a tile side by side in a vector; its other lanes are the rows below. Most Gaussians are
+/// a few pixels wide: a vector of a whole row would hold mostly pixels that they do not reach.
+/// Source: the fewest lanes are four.
+pub(crate) const ACROSS: usize = 4;
+/// Strips of [`ACROSS`] columns in a tile.
+pub(crate) const STRIPS: usize = TILE / ACROSS;
+
+/// A value for each pixel of a tile, by strips of [`ACROSS`] columns, each row by row: a vector
+/// holds a block of [`ACROSS`] columns. Aligned, so that no vector lies across two cache lines:
+/// those cost twice, and what was just stored comes late to the load that wants it.
 #[repr(C, align(64))]
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TilePlane(pub(crate) [f32; PIXELS]);
+
+/// Centre of each pixel from the tile's corner, x and y.
+pub(crate) static CENTRES: [TilePlane; 2] = centres();
+
+const fn centres() -> [TilePlane; 2] {
+    let mut centres = [TilePlane([0.0; PIXELS]); 2];
+    let mut i = 0;
+    while i < PIXELS {
+        centres[0].0[i] = (i / (ACROSS * TILE) * ACROSS + i % ACROSS) as f32 + 0.5;
+        centres[1].0[i] = (i / ACROSS % TILE) as f32 + 0.5;
+        i += 1;
+    }
+    centres
+}
 
 impl TilePlane {
     /// All pixels `value`.
@@ -25,6 +47,15 @@ impl TilePlane {
         assert!(at <= PIXELS - S::LANES);
         // SAFETY: LANES values from `at` on lie within the plane.
         unsafe { S::load(self.0.as_ptr().add(at)) }
+    }
+
+    /// Row `y`, [`ACROSS`] pixels at a time.
+    pub(crate) fn row(&self, y: usize) -> impl Iterator<Item = &[f32]> {
+        self.0[y * ACROSS..PIXELS].chunks(ACROSS).step_by(TILE)
+    }
+
+    fn row_mut(&mut self, y: usize) -> impl Iterator<Item = &mut [f32]> {
+        self.0[y * ACROSS..PIXELS].chunks_mut(ACROSS).step_by(TILE)
     }
 
     /// Stores a vector from pixel `at` on, all of which must lie within the tile.
@@ -60,8 +91,11 @@ impl Tile {
     /// The tile's pixels of a plane.
     pub(crate) fn gather(&self, plane: &[f32]) -> TilePlane {
         let mut out = TilePlane::filled(0.0);
-        for (y, row) in out.0.chunks_exact_mut(TILE).enumerate() {
-            row.copy_from_slice(&plane[self.row(y)..self.row(y) + TILE]);
+        for y in 0..TILE {
+            let row = &plane[self.row(y)..self.row(y) + TILE];
+            for (to, from) in out.row_mut(y).zip(row.chunks_exact(ACROSS)) {
+                to.copy_from_slice(from);
+            }
         }
         out
     }
@@ -69,8 +103,9 @@ impl Tile {
     /// Transmittance before the first Gaussian: 1, and −1 (finished) outside the image.
     pub(crate) fn start(&self) -> TilePlane {
         let mut start = TilePlane::filled(-1.0);
-        for row in start.0.chunks_exact_mut(TILE).take(self.height) {
-            row[..self.width].fill(1.0);
+        for y in 0..self.height {
+            let row = start.row_mut(y).flatten();
+            row.take(self.width).for_each(|pixel| *pixel = 1.0);
         }
         start
     }

@@ -10,7 +10,7 @@ use super::rasterise::{Backward, Forward, SUMS, Visit, backward, forward, visit}
 use super::shared::SharedSlice;
 use super::sort::Bins;
 use super::target::{TargetSource, compose, reached_tiles};
-use super::tile::{PIXELS, PlaneShape, TILE, Tile, TilePlane};
+use super::tile::{ACROSS, PIXELS, PlaneShape, TILE, Tile, TilePlane};
 use crate::backend::Target;
 use crate::camera::PartCameras;
 use crate::model::Model;
@@ -251,9 +251,12 @@ impl KernelWorkspace {
 /// # Safety
 /// No other task uses the tile's pixels of the plane.
 unsafe fn scatter(values: &TilePlane, plane: &SharedSlice<f32>, tile: &Tile) {
-    for (y, row) in values.0.chunks_exact(TILE).enumerate() {
+    for y in 0..TILE {
         // SAFETY: the row is the tile's, of which the caller vouches that no other task uses it.
-        unsafe { plane.part(tile.row(y)..tile.row(y) + TILE) }.copy_from_slice(row);
+        let row = unsafe { plane.part(tile.row(y)..tile.row(y) + TILE) };
+        for (to, from) in row.chunks_exact_mut(ACROSS).zip(values.row(y)) {
+            to.copy_from_slice(from);
+        }
     }
 }
 
