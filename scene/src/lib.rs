@@ -31,6 +31,7 @@ pub mod image;
 pub mod io;
 pub mod lpips;
 pub mod metrics;
+pub mod morton;
 pub mod motion_report;
 pub mod orbit_path;
 pub mod overview;

@@ -9,6 +9,7 @@
 
 use glam::{Quat, Vec3};
 use scene::Gaussians;
+use scene::morton::morton_order;
 use serde::{Deserialize, Serialize};
 
 /// Planes are padded to a multiple of this, so that a vector load never leaves them, values.
@@ -64,6 +65,32 @@ pub struct Model {
 /// `n` rounded up to whole vectors.
 pub(crate) fn padded(n: usize) -> usize {
     n.div_ceil(LANE_PAD) * LANE_PAD
+}
+
+/// Groups of `k` values in another order; nothing of nothing. A cycle of the permutation at a time,
+/// so that no copy is needed.
+fn permute<T: Copy>(values: &mut [T], order: &[usize], k: usize) {
+    if values.is_empty() {
+        return;
+    }
+    let mut done = vec![false; order.len()];
+    let mut first_of_cycle = Vec::with_capacity(k);
+    for start in 0..order.len() {
+        if done[start] || order[start] == start {
+            continue;
+        }
+        first_of_cycle.clear();
+        first_of_cycle.extend_from_slice(&values[start * k..(start + 1) * k]);
+        let mut to = start;
+        while order[to] != start {
+            let from = order[to];
+            values.copy_within(from * k..(from + 1) * k, to * k);
+            done[to] = true;
+            to = from;
+        }
+        values[to * k..(to + 1) * k].copy_from_slice(&first_of_cycle);
+        done[to] = true;
+    }
 }
 
 /// Keeps the groups of `k` values whose indices are in `order`, which ascends; nothing of nothing.
@@ -191,28 +218,25 @@ impl Model {
         self.pad();
     }
 
-    /// Keeps the Gaussians in `order` (indices into the present ones), in that order.
-    pub(crate) fn select(&mut self, order: &[u32]) {
+    /// Puts the Gaussians into `order`, indices into the present ones, each once. In place, as
+    /// [`Model::keep`] does.
+    pub(crate) fn reorder(&mut self, order: &[usize]) {
         let k = self.sh_stride();
         for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
-            for plane in planes.iter_mut().filter(|plane| !plane.is_empty()) {
-                *plane = order.iter().map(|&i| plane[i as usize]).collect();
-            }
+            planes.iter_mut().for_each(|plane| permute(plane, order, 1));
         }
-        self.steps = order.iter().map(|&i| self.steps[i as usize]).collect();
-        if !self.part.is_empty() {
-            self.part = order.iter().map(|&i| self.part[i as usize]).collect();
-        }
+        permute(&mut self.steps, order, 1);
+        permute(&mut self.part, order, 1);
         for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            if values.is_empty() {
-                continue;
-            }
-            let mut kept = Vec::with_capacity(order.len() * k);
-            order.iter().for_each(|&i| kept.extend_from_slice(&values[i as usize * k..(i as usize + 1) * k]));
-            *values = kept;
+            permute(values, order, k);
         }
-        self.len = order.len();
-        self.pad();
+    }
+
+    /// Puts neighbours in space beside each other. What a tile shows lies together then, and what a
+    /// view does not see does, too: a step of many Gaussians waits for memory.
+    pub(crate) fn sort_in_space(&mut self) {
+        let places: Vec<Vec3> = (0..self.len).map(|i| self.mean(i)).collect();
+        self.reorder(&morton_order(&places));
     }
 
     /// Keeps the Gaussians in `order`, which ascends, unless there are none; returns how many were
@@ -299,5 +323,53 @@ impl Model {
             planes.iter_mut().for_each(|plane| plane.resize(n, 0.0));
         }
         self.steps.resize(n, 0.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Gaussian `i` has `i` in all that it has.
+    fn numbered(n: usize) -> Model {
+        let numbers = |k: usize| (0..n).flat_map(|i| vec![i as f32; k]).collect::<Vec<f32>>();
+        let mut model = Model { len: n, sh_degree: 1, sh: numbers(12), ..Model::default() };
+        (model.sh_m, model.sh_v, model.steps) = (numbers(12), numbers(12), numbers(1));
+        model.part = (0..n as u8).collect();
+        for planes in [&mut model.geometry, &mut model.geometry_m, &mut model.geometry_v] {
+            planes.fill(numbers(1));
+        }
+        model.pad();
+        model
+    }
+
+    /// The numbers of the Gaussians, the same in all that they have.
+    fn numbers(model: &Model) -> Vec<u8> {
+        for (i, &number) in model.part.iter().enumerate() {
+            let value = f32::from(number);
+            let planes = [&model.geometry, &model.geometry_m, &model.geometry_v];
+            assert!(planes.iter().all(|planes| planes.iter().all(|plane| plane[i] == value)));
+            let groups = [&model.sh, &model.sh_m, &model.sh_v].map(|v| &v[i * 12..(i + 1) * 12]);
+            assert!(groups.iter().all(|group| group.iter().all(|&v| v == value)));
+            assert_eq!(model.steps[i], value);
+        }
+        assert_eq!((model.part.len(), model.sh.len()), (model.len, 12 * model.len));
+        assert!(model.geometry.iter().all(|plane| plane.len() == padded(model.len)));
+        model.part.clone()
+    }
+
+    #[test]
+    fn all_that_a_gaussian_has_stays_together() {
+        let mut model = numbered(40);
+        model.reorder(&(0..40).map(|i| i * 7 % 40).collect::<Vec<_>>());
+        assert_eq!(numbers(&model)[..4], [0, 7, 14, 21]);
+        assert_eq!(model.keep(&(0..40).step_by(2).collect::<Vec<_>>()), 20);
+        assert_eq!(numbers(&model)[..4], [0, 14, 28, 2]);
+        model.sort_in_space();
+        assert_eq!(numbers(&model), (0..40).step_by(2).collect::<Vec<u8>>());
+        model.forget_moments();
+        assert_eq!(model.keep(&[3, 5]), 18, "without moments");
+        assert_eq!(model.keep(&[]), 0, "some stay");
+        assert_eq!(model.part, [6, 10]);
     }
 }

@@ -147,12 +147,22 @@ fn adam_block<S: Simd>(
     for (lanes, c) in correction.iter_mut().zip(corrections) {
         c.write(lanes);
     }
+    let rates = match &a.part.sink {
+        GradientSink::Adam(state) => sh_rates(&state.rates),
+        GradientSink::Gradient { .. } => [0.0; SH_COUNT * 3],
+    };
     // Colours move only where the shape does: a Gaussian is left as it is, or takes the whole step.
     let mut by_direction = [[0.0f32; LANE_PAD]; 3];
     for lane in (0..S::LANES).filter(|lane| S::bits(finite) & (1 << lane) != 0) {
         let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
         let corrections = [correction[0][lane], correction[1][lane]];
-        let g = colour_step(&mut a.part, camera, block + lane, rgb, corrections);
+        let step = ColourStep { camera, i: block + lane, d_rgb: rgb, corrections, rates: &rates };
+        let g = match camera.sh_degree {
+            0 => step.take::<S, 1>(&mut a.part),
+            1 => step.take::<S, 4>(&mut a.part),
+            2 => step.take::<S, 9>(&mut a.part),
+            _ => step.take::<S, SH_COUNT>(&mut a.part),
+        };
         for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
             plane[lane] = value;
         }
@@ -255,7 +265,8 @@ fn move_geometry<S: Simd>(
         let v1 = v0.mul(S::splat(beta2)).add(g.mul(g).mul(S::splat(1.0 - beta2)));
         let m1 = m1.keep(m1.abs().ge(S::splat(TINY[0])));
         let v1 = v1.keep(v1.ge(S::splat(TINY[1])));
-        let step = m1.mul(c1).div(v1.mul(c2).sqrt().add(S::splat(EPSILON as f32))).mul(S::splat(rate));
+        let size = v1.mul(c2).sqrt().add(S::splat(EPSILON as f32));
+        let step = m1.mul(c1).mul(size.reciprocal()).mul(S::splat(rate));
         parameters[k].sub(S::select(on, step, zero)).write(&mut geometry[k][block..]);
         S::select(on, m1, m0).write(m);
         S::select(on, v1, v0).write(v);
@@ -279,76 +290,113 @@ fn note_statistics<S: Simd>(
     S::read(visible).add(S::splat(1.0).keep(on)).write(visible);
 }
 
-/// Spherical harmonics of Gaussian `i` of the part: their step, and the colour's part of dL/dmean
-/// (infinite, and no step, where it is not finite).
-#[inline(always)]
-fn colour_step(
-    part: &mut ModelPart,
-    camera: &CameraConstants,
-    i: usize,
-    d_rgb: [f32; 3],
-    corrections: [f32; 2],
-) -> Vec3 {
-    let degree = camera.sh_degree;
-    let mean = Vec3::new(part.geometry[MEAN][i], part.geometry[MEAN + 1][i], part.geometry[MEAN + 2][i]);
-    let used = (degree as usize + 1).pow(2);
-    let own = i * part.sh_stride..i * part.sh_stride + used * 3;
-    let coefficients = &mut part.sh[own.clone()];
-    let offset = mean - camera.position;
-    let distance = offset.length();
-    let dir = offset.normalize_or_zero();
-    let mut basis = [0.0; SH_COUNT];
-    sh::basis(dir, degree, &mut basis);
-    let rgb = colour(coefficients, &basis, degree);
-    let d_rgb = array!(c in 3 => if rgb[c] > 0.0 { d_rgb[c] } else { 0.0 });
-    let mut by_basis = [0.0; SH_COUNT];
-    for (w, sh) in by_basis[..used].iter_mut().zip(coefficients.chunks_exact(3)) {
-        *w = sh[0] * d_rgb[0] + sh[1] * d_rgb[1] + sh[2] * d_rgb[2];
-    }
-    let g = sh::basis_gradient(dir, degree, &by_basis);
-    let by_mean = if distance > 0.0 { (g - dir * g.dot(dir)) / distance } else { Vec3::ZERO };
-    if !by_mean.is_finite() {
-        return Vec3::INFINITY;
-    }
-    match &mut part.sink {
-        GradientSink::Gradient { sh, .. } => {
-            for (out, y) in sh[own].chunks_exact_mut(3).zip(basis) {
-                out.copy_from_slice(&d_rgb.map(|d| d * y));
-            }
-        }
-        GradientSink::Adam(state) => {
-            let moments = [&mut state.sh_m[own.clone()], &mut state.sh_v[own]];
-            move_colour(coefficients, moments, &basis, d_rgb, corrections, &state.rates);
-        }
-    }
-    by_mean
+/// Step sizes of the spherical harmonics, coefficient-major.
+fn sh_rates(rates: &LearningRates) -> [f32; SH_COUNT * 3] {
+    let mut all = [rates.sh_rest; SH_COUNT * 3];
+    all[..3].fill(rates.sh0);
+    all
 }
 
+/// The step of a Gaussian's colours.
+struct ColourStep<'a> {
+    camera: &'a CameraConstants,
+    /// Its number within the part of the model.
+    i: usize,
+    /// dL/d(colour).
+    d_rgb: [f32; 3],
+    /// See [`bias_corrections`].
+    corrections: [f32; 2],
+    /// See [`sh_rates`].
+    rates: &'a [f32; SH_COUNT * 3],
+}
+
+impl ColourStep<'_> {
+    /// Takes it, with `USED` coefficients a channel: their number has to be known when the loops are
+    /// compiled. dL/d(mean) by the direction (infinite, and no step, where it is not finite).
+    #[inline(always)]
+    fn take<S: Simd, const USED: usize>(&self, part: &mut ModelPart) -> Vec3 {
+        let (degree, i) = (USED.isqrt() as u32 - 1, self.i);
+        let mean = Vec3::new(part.geometry[MEAN][i], part.geometry[MEAN + 1][i], part.geometry[MEAN + 2][i]);
+        let own = i * part.sh_stride..i * part.sh_stride + USED * 3;
+        let coefficients = &mut part.sh[own.clone()];
+        let offset = mean - self.camera.position;
+        let distance = offset.length();
+        let dir = offset.normalize_or_zero();
+        let mut basis = [0.0; SH_COUNT];
+        sh::basis(dir, degree, &mut basis);
+        let rgb = colour(coefficients, &basis, degree);
+        let d_rgb = array!(c in 3 => if rgb[c] > 0.0 { self.d_rgb[c] } else { 0.0 });
+        let mut by_basis = [0.0; SH_COUNT];
+        for (w, sh) in by_basis[..USED].iter_mut().zip(coefficients.chunks_exact(3)) {
+            *w = sh[0] * d_rgb[0] + sh[1] * d_rgb[1] + sh[2] * d_rgb[2];
+        }
+        let g = sh::basis_gradient(dir, degree, &by_basis);
+        let by_mean = if distance > 0.0 { (g - dir * g.dot(dir)) / distance } else { Vec3::ZERO };
+        if !by_mean.is_finite() {
+            return Vec3::INFINITY;
+        }
+        let mut gradient = [0.0f32; SH_COUNT * 3];
+        for (out, y) in gradient[..USED * 3].chunks_exact_mut(3).zip(basis) {
+            out.copy_from_slice(&array!(c in 3 => d_rgb[c] * y));
+        }
+        match &mut part.sink {
+            GradientSink::Gradient { sh, .. } => sh[own].copy_from_slice(&gradient[..USED * 3]),
+            GradientSink::Adam(state) => {
+                let moments = [&mut state.sh_m[own.clone()], &mut state.sh_v[own]];
+                self.go::<S, USED>(coefficients, moments, &gradient);
+            }
+        }
+        by_mean
+    }
+
+    /// Moves the coefficients and their moments along a gradient.
+    #[inline(always)]
+    fn go<S: Simd, const USED: usize>(
+        &self,
+        value: &mut [f32],
+        [m, v]: [&mut [f32]; 2],
+        gradient: &[f32; SH_COUNT * 3],
+    ) {
+        let corrections = array!(k in 2 => S::splat(self.corrections[k]));
+        let whole = USED * 3 / S::LANES * S::LANES;
+        for at in (0..whole).step_by(S::LANES) {
+            let step = [&gradient[at..], &self.rates[at..]];
+            move_lanes::<S>(&mut value[at..], [&mut m[at..], &mut v[at..]], step, corrections);
+        }
+        if whole < USED * 3 {
+            // What follows is the next Gaussian's.
+            let mut rest = [[0.0f32; LANE_PAD]; 3];
+            for (to, from) in rest.iter_mut().zip([&*value, &*m, &*v]) {
+                to[..USED * 3 - whole].copy_from_slice(&from[whole..USED * 3]);
+            }
+            let [value_rest, m_rest, v_rest] = &mut rest;
+            let step = [&gradient[whole..], &self.rates[whole..]];
+            move_lanes::<S>(value_rest, [m_rest, v_rest], step, corrections);
+            for (to, from) in [value, m, v].into_iter().zip(&rest) {
+                to[whole..USED * 3].copy_from_slice(&from[..USED * 3 - whole]);
+            }
+        }
+    }
+}
+
+/// A vector of values and their moments along a gradient, by step sizes.
 #[inline(always)]
-fn move_colour(
+fn move_lanes<S: Simd>(
     value: &mut [f32],
     [m, v]: [&mut [f32]; 2],
-    basis: &[f32; SH_COUNT],
-    d_rgb: [f32; 3],
-    [c1, c2]: [f32; 2],
-    rates: &LearningRates,
+    [gradient, rate]: [&[f32]; 2],
+    [c1, c2]: [S; 2],
 ) {
-    let mut gradient = [0.0f32; SH_COUNT * 3];
-    for (out, y) in gradient.chunks_exact_mut(3).zip(basis) {
-        out.copy_from_slice(&d_rgb.map(|d| d * y));
-    }
-    let mut rate = [rates.sh_rest; SH_COUNT * 3];
-    rate[..3].fill(rates.sh0);
     let [beta1, beta2] = BETAS.map(|beta| beta as f32);
-    let n = value.len().min(m.len()).min(v.len());
-    for k in 0..n {
-        let g = gradient[k];
-        let m1 = beta1 * m[k] + (1.0 - beta1) * g;
-        let v1 = beta2 * v[k] + (1.0 - beta2) * g * g;
-        m[k] = if m1.abs() >= TINY[0] { m1 } else { 0.0 };
-        v[k] = if v1 >= TINY[1] { v1 } else { 0.0 };
-        value[k] -= rate[k] * (m[k] * c1) / ((v[k] * c2).sqrt() + EPSILON as f32);
-    }
+    let (g, rate) = (S::read(gradient), S::read(rate));
+    let m1 = S::read(m).mul(S::splat(beta1)).add(g.mul(S::splat(1.0 - beta1)));
+    let v1 = S::read(v).mul(S::splat(beta2)).add(g.mul(g).mul(S::splat(1.0 - beta2)));
+    let m1 = m1.keep(m1.abs().ge(S::splat(TINY[0])));
+    let v1 = v1.keep(v1.ge(S::splat(TINY[1])));
+    m1.write(m);
+    v1.write(v);
+    let size = v1.mul(c2).sqrt().add(S::splat(EPSILON as f32));
+    S::read(value).sub(rate.mul(m1).mul(c1).mul(size.reciprocal())).write(value);
 }
 
 simd_kernel!(

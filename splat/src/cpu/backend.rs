@@ -229,7 +229,9 @@ impl Backend for CpuBackend {
     }
 
     fn densify(&mut self, round: &Round) -> Result<usize, SplatError> {
-        densify_by_edit(self, round)
+        let unseen = densify_by_edit(self, round)?;
+        self.model.sort_in_space();
+        Ok(unseen)
     }
 
     fn gaussians(&self) -> usize {

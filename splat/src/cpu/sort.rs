@@ -14,8 +14,7 @@ use super::tile::TILE;
 pub(super) struct Bins {
     tiles_x: usize,
     tiles_y: usize,
-    /// Visible Gaussians, front to back.
-    order: Vec<u32>,
+    depth: DepthOrder,
     /// [tiles + 1] where the tile's pairs begin in `list`.
     offsets: Vec<u32>,
     /// \[pairs\] Gaussian numbers by tile, front to back.
@@ -24,51 +23,21 @@ pub(super) struct Bins {
     positions: Vec<u32>,
     /// \[N + 1\] where the Gaussian's pairs begin in `positions`.
     begins: Vec<u32>,
+    cursor: Vec<u32>,
+}
+
+/// The visible Gaussians of a view by depth.
+#[derive(Debug, Default)]
+struct DepthOrder {
+    /// Front to back.
+    order: Vec<u32>,
     /// Depth bits above the Gaussian's number, and room to sort them in.
     keyed: [Vec<u64>; 2],
     /// Keys by digit.
     counts: Vec<[u32; 2048]>,
-    cursor: Vec<u32>,
 }
 
-impl Bins {
-    /// Gaussians that touch a tile.
-    pub(super) fn visible(&self) -> usize {
-        self.order.len()
-    }
-
-    /// Gaussian–tile pairs.
-    pub(super) fn pairs(&self) -> usize {
-        self.list.len()
-    }
-
-    /// Numbers of the pairs of a tile. Those of different tiles do not overlap.
-    #[inline(always)]
-    pub(super) fn pairs_of(&self, tile: usize) -> std::ops::Range<usize> {
-        self.offsets[tile] as usize..self.offsets[tile + 1] as usize
-    }
-
-    /// The Gaussians of a tile, front to back.
-    #[inline(always)]
-    pub(super) fn gaussians_of(&self, tile: usize) -> &[u32] {
-        &self.list[self.pairs_of(tile)]
-    }
-
-    /// Numbers of the pairs of a Gaussian.
-    #[inline(always)]
-    pub(super) fn positions_of(&self, gaussian: usize) -> &[u32] {
-        &self.positions[self.begins[gaussian] as usize..self.begins[gaussian + 1] as usize]
-    }
-
-    /// Fills everything for an image of `width × height` pixels.
-    pub(super) fn fill(&mut self, keys: &[u32], records: &[Record], width: usize, height: usize) {
-        self.tiles_x = width.div_ceil(TILE);
-        self.tiles_y = height.div_ceil(TILE);
-        self.sort(keys);
-        self.pair(keys, records);
-        self.scatter();
-    }
-
+impl DepthOrder {
     /// `order`: the Gaussians that are not culled by ascending key, ties by index (LSD radix sort,
     /// 11 bits a pass).
     fn sort(&mut self, keys: &[u32]) {
@@ -103,7 +72,46 @@ impl Bins {
         self.order.clear();
         self.order.extend(from.iter().map(|&k| k as u32));
     }
+}
 
+impl Bins {
+    /// Gaussians that touch a tile.
+    pub(super) fn visible(&self) -> usize {
+        self.depth.order.len()
+    }
+
+    /// Gaussian–tile pairs.
+    pub(super) fn pairs(&self) -> usize {
+        self.list.len()
+    }
+
+    /// Numbers of the pairs of a tile. Those of different tiles do not overlap.
+    #[inline(always)]
+    pub(super) fn pairs_of(&self, tile: usize) -> std::ops::Range<usize> {
+        self.offsets[tile] as usize..self.offsets[tile + 1] as usize
+    }
+
+    /// The Gaussians of a tile, front to back.
+    #[inline(always)]
+    pub(super) fn gaussians_of(&self, tile: usize) -> &[u32] {
+        &self.list[self.pairs_of(tile)]
+    }
+
+    /// Numbers of the pairs of a Gaussian.
+    #[inline(always)]
+    pub(super) fn positions_of(&self, gaussian: usize) -> &[u32] {
+        &self.positions[self.begins[gaussian] as usize..self.begins[gaussian + 1] as usize]
+    }
+
+    /// Fills everything for an image of `width × height` pixels.
+    pub(super) fn fill(&mut self, keys: &[u32], records: &[Record], width: usize, height: usize) {
+        self.tiles_x = width.div_ceil(TILE);
+        self.tiles_y = height.div_ceil(TILE);
+        let mut depth = std::mem::take(&mut self.depth);
+        rayon::join(|| depth.sort(keys), || self.pair(keys, records));
+        self.depth = depth;
+        self.scatter();
+    }
     /// The tiles that each Gaussian touches, and the number of pairs of each tile.
     fn pair(&mut self, keys: &[u32], records: &[Record]) {
         let tiles = self.tiles_x * self.tiles_y;
@@ -143,7 +151,7 @@ impl Bins {
         self.list.resize(self.positions.len(), 0);
         self.cursor.clear();
         self.cursor.extend_from_slice(&self.offsets);
-        for &i in &self.order {
+        for &i in &self.depth.order {
             let pairs = self.begins[i as usize] as usize..self.begins[i as usize + 1] as usize;
             for position in &mut self.positions[pairs] {
                 let slot = &mut self.cursor[*position as usize];

@@ -9,6 +9,7 @@ use crate::gaussians::SH_C0;
 use crate::io::error::IoError;
 use crate::io::ply::Ply;
 use crate::io::write_atomic;
+use crate::morton::morton_order;
 use glam::{DVec3, Quat, Vec3};
 use std::io::{self, Write};
 use std::path::Path;
@@ -134,11 +135,6 @@ fn bounds_of(values: impl Iterator<Item = Vec3> + Clone) -> [Vec3; 2] {
     [values.clone().fold(Vec3::INFINITY, Vec3::min), values.fold(Vec3::NEG_INFINITY, Vec3::max)]
 }
 
-/// Ten bits of a value in [0, 1], two zeros between each and the next.
-fn every_third_bit(v: f32) -> u32 {
-    (0..10).fold(0u32, |out, bit| out | ((v * 1023.0) as u32 >> bit & 1) << (3 * bit))
-}
-
 fn colour(g: &Gaussians, i: usize) -> Vec3 {
     Vec3::from_slice(&g.sh[i * g.sh_coefficients() * 3..]) * SH_C0 + 0.5
 }
@@ -172,18 +168,6 @@ fn pack_rotation(q: Quat) -> u32 {
         let t = v * std::f32::consts::FRAC_1_SQRT_2 + 0.5;
         packed << 10 | (t.clamp(0.0, 1.0) * 1023.0).round() as u32
     })
-}
-
-/// Order in which neighbours in space are neighbours in the file (Morton code, 10 bits an axis).
-pub(super) fn morton_order(means: &[Vec3]) -> Vec<usize> {
-    let low = means.iter().fold(Vec3::INFINITY, |a, &m| a.min(m));
-    let high = means.iter().fold(Vec3::NEG_INFINITY, |a, &m| a.max(m));
-    let size = (high - low).max(Vec3::splat(f32::MIN_POSITIVE));
-    let codes = means.iter().map(|&m| ((m - low) / size).to_array().map(every_third_bit));
-    let mut keyed: Vec<(u32, usize)> =
-        codes.enumerate().map(|(i, [x, y, z])| (x << 2 | y << 1 | z, i)).collect();
-    keyed.sort_unstable();
-    keyed.into_iter().map(|k| k.1).collect()
 }
 
 /// Writes a compressed PLY; the Gaussians are put into spatial order.

@@ -95,7 +95,7 @@ fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
         if loss <= SEARCH.loss { good = middle } else { bad = middle }
     }
     if good < n {
-        model.select(&first_sorted(&order, good));
+        model.keep(&first_sorted(&order, good));
         statistics.reset(good);
     }
     step.backend.upload(model, statistics)?;

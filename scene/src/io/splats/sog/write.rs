@@ -7,6 +7,7 @@ use crate::Gaussians;
 use crate::io::atomic::write_file_atomic;
 use crate::io::error::IoError;
 use crate::io::splats::item::{unit, unit_byte};
+use crate::morton::morton_order;
 use glam::{Quat, Vec3};
 use image::ExtendedColorType::Rgba8;
 use image::ImageEncoder;
@@ -142,19 +143,4 @@ impl SogWriter {
         }
         zip.finish()?.flush()
     }
-}
-
-/// Indices in the order of the Morton codes (10 bits an axis) of the means in their box.
-fn morton_order(means: &[Vec3]) -> Vec<usize> {
-    let low = means.iter().fold(Vec3::INFINITY, |a, v| a.min(*v));
-    let high = means.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(*v));
-    let range = (high - low).max(Vec3::splat(f32::MIN_POSITIVE));
-    let mut order: Vec<usize> = (0..means.len()).collect();
-    order.sort_by_cached_key(|&i| {
-        let cell = ((means[i] - low) / range * 1023.0).to_array().map(|v| v as u32);
-        (0..10).fold(0_u32, |code, bit| {
-            cell.iter().enumerate().fold(code, |code, (axis, v)| code | ((v >> bit) & 1) << (3 * bit + axis))
-        })
-    });
-    order
 }

@@ -106,9 +106,9 @@ impl JointRule {
     pub(super) fn conclude(&self, step: &RuleContext, model: &mut Model) -> Option<MovingParts> {
         let moving = step.setup.dataset.articulation.as_ref()?;
         let parts = moving.joints.len() as u8;
-        let mut order: Vec<u32> = (0..model.len as u32).collect();
-        order.sort_by_key(|&i| model.part_of(i as usize));
-        model.select(&order);
+        let mut order: Vec<usize> = (0..model.len).collect();
+        order.sort_by_key(|&i| model.part_of(i));
+        model.reorder(&order);
         let mut out = moving.clone();
         out.gaussians = (0..=parts).map(|part| model.part.iter().filter(|&&p| p == part).count()).collect();
         let found = out.joints.iter_mut().zip(&step.state.corrections.joints);
