@@ -150,6 +150,29 @@ impl Model {
         (self.sh_m, self.sh_v) = (Vec::new(), Vec::new());
     }
 
+    /// Trades moments and clocks with `other`, of as many Gaussians.
+    pub(crate) fn swap_moments(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.geometry_m, &mut other.geometry_m);
+        std::mem::swap(&mut self.geometry_v, &mut other.geometry_v);
+        std::mem::swap(&mut self.sh_m, &mut other.sh_m);
+        std::mem::swap(&mut self.sh_v, &mut other.sh_v);
+        std::mem::swap(&mut self.steps, &mut other.steps);
+    }
+
+    /// Moments and clocks of zero for the Gaussians of this one, in a model without anything else;
+    /// zeros take no memory until they are written.
+    pub(crate) fn fresh_moments(&self) -> Self {
+        let zeros = || -> Planes { std::array::from_fn(|_| vec![0.0; padded(self.len)]) };
+        Self {
+            geometry_m: zeros(),
+            geometry_v: zeros(),
+            sh_m: vec![0.0; self.sh.len()],
+            sh_v: vec![0.0; self.sh.len()],
+            steps: vec![0.0; padded(self.len)],
+            ..Self::default()
+        }
+    }
+
     /// SH values of one Gaussian, 3K.
     pub(crate) fn sh_stride(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) * 3
@@ -259,32 +282,6 @@ impl Model {
         self.len = order.len();
         self.pad();
         removed
-    }
-
-    /// The Gaussians in `order` to be drawn: parameters without moments (zeros, which take no
-    /// memory until written).
-    pub(crate) fn drawn(&self, order: &[u32]) -> Self {
-        let (k, n) = (self.sh_stride(), padded(order.len()));
-        let zeros = |n: usize| -> Planes { std::array::from_fn(|_| vec![0.0; n]) };
-        let mut some = Self {
-            len: order.len(),
-            sh_degree: self.sh_degree,
-            geometry: zeros(n),
-            geometry_m: zeros(n),
-            geometry_v: zeros(n),
-            sh: Vec::with_capacity(order.len() * k),
-            sh_m: vec![0.0; order.len() * k],
-            sh_v: vec![0.0; order.len() * k],
-            steps: vec![0.0; n],
-            part: order.iter().filter_map(|&i| self.part.get(i as usize).copied()).collect(),
-        };
-        for (to, from) in some.geometry.iter_mut().zip(&self.geometry) {
-            to.iter_mut().zip(order).for_each(|(v, &i)| *v = from[i as usize]);
-        }
-        for &i in order {
-            some.sh.extend_from_slice(&self.sh[i as usize * k..(i as usize + 1) * k]);
-        }
-        some
     }
 
     /// Raises (new coefficients zero) or lowers the spherical-harmonic degree.

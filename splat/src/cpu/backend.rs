@@ -181,6 +181,7 @@ impl CpuBackend {
     }
 
     /// dL/d(parameters) where dL/d(colour) is `gradient` ([height × width × 3]).
+    #[cfg_attr(not(test), expect(dead_code, reason = "the tests compare them with the reference"))]
     pub(crate) fn gradients(
         &mut self,
         view: &PinholeView,
@@ -296,10 +297,13 @@ impl Backend for CpuBackend {
         options: &RenderOptions,
         gradient: &[f32],
     ) -> Result<Vec<f32>, SplatError> {
-        let mut found = self.gradients(view, options, gradient);
-        let mut slopes = std::mem::take(&mut found.geometry[OPACITY]);
-        slopes.truncate(self.model.len); // planes are padded
-        Ok(slopes)
+        self.forward(view, options, None, false);
+        self.work.set_gradient(gradient);
+        self.work.backward(self.isa);
+        // dL/dlogit = (1 − o) · o dL/do, of which the pairs have the sums.
+        let logits = self.model.geometry[OPACITY][..self.model.len].iter();
+        let sums = (0..self.model.len).map(|i| self.work.opacity_sum(i));
+        Ok(logits.zip(sums).map(|(l, sum)| sum / (1.0 + l.exp())).collect())
     }
 
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {

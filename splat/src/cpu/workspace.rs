@@ -220,6 +220,11 @@ impl KernelWorkspace {
         });
     }
 
+    /// `o dL/do` of Gaussian `i`, after [`KernelWorkspace::backward`].
+    pub(super) fn opacity_sum(&self, i: usize) -> f32 {
+        self.bins.positions_of(i).iter().map(|&position| self.sums[position as usize][0]).sum()
+    }
+
     /// project backward and Adam (or plain gradients); returns how many gradients were not finite,
     /// and what pulls at moving parts. Their sums do not depend on how the work is shared out.
     pub(super) fn optimise(

@@ -58,6 +58,10 @@ const SEARCH: PruneSearch = PruneSearch {
     resolution: 64,
 };
 
+/// Opacity (logit) of what is not drawn. Source: 1e-13, far below the least alpha that is drawn,
+/// 1/255.
+const HIDDEN: f32 = -30.0;
+
 /// State of the rule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PruneRule {
@@ -83,22 +87,35 @@ impl PruneRule {
 fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
     let judges = step.setup.some_views(SEARCH.judges);
     let before = step.psnr(&judges, 0, None)?;
-    let (mut model, mut statistics) = step.backend.release()?;
-    let n = model.len;
-    let order = by_energy(step, &model)?;
-    // The loss grows with what is removed: bisection.
+    let (mut opacities, mut aside, mut seen) = (Vec::new(), Model::default(), Statistics::default());
+    // Gradients may cost the moments.
+    step.backend.edit(&mut |model, statistics| {
+        opacities = model.geometry[OPACITY][..model.len].to_vec();
+        aside = model.fresh_moments();
+        model.swap_moments(&mut aside);
+        seen = std::mem::take(statistics);
+    })?;
+    let n = opacities.len();
+    let order = by_energy(step, &opacities)?;
+    // The loss grows with what is removed: bisection. What is tried is hidden where it is: a copy of
+    // the model would be the peak of a run's memory.
     let (mut good, mut bad) = (n, n / SEARCH.least_kept);
     while good > bad + n / SEARCH.resolution + 1 {
         let middle = (good + bad) / 2;
-        step.backend.upload(model.drawn(&first_sorted(&order, middle)), Statistics::default())?;
+        let mut tried = opacities.clone();
+        order[middle..].iter().for_each(|&i| tried[i as usize] = HIDDEN);
+        set_opacities(step.backend, &tried)?;
         let loss = before - step.psnr(&judges, 0, None)?;
         if loss <= SEARCH.loss { good = middle } else { bad = middle }
     }
-    if good < n {
-        model.keep(&first_sorted(&order, good));
-        statistics.reset(good);
-    }
-    step.backend.upload(model, statistics)?;
+    step.backend.edit(&mut |model, statistics| {
+        model.geometry[OPACITY][..n].copy_from_slice(&opacities);
+        model.swap_moments(&mut aside);
+        *statistics = std::mem::take(&mut seen);
+        if model.keep(&first_sorted(&order, good)) > 0 {
+            statistics.reset(good);
+        }
+    })?;
     let after = step.psnr(&judges, 0, None)?;
     let decision = Decision::new(Subject::RedundantGaussians, Choice::share(n - good, n), Rule::Evidence)
         .with(Measurement::count(Quantity::TrainingViews, judges.len()))
@@ -108,15 +125,20 @@ fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
     Ok(())
 }
 
-/// The Gaussians by falling energy.
-fn by_energy(step: &mut RuleContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
+/// Gives the Gaussians of the backend's model these opacities (logits).
+fn set_opacities(backend: &mut dyn Backend, logits: &[f32]) -> Result<(), SplatError> {
+    backend.edit(&mut |model, _| model.geometry[OPACITY][..logits.len()].copy_from_slice(logits))
+}
+
+/// The Gaussians, whose opacities are `opacities` (logits), by falling energy.
+fn by_energy(step: &mut RuleContext, opacities: &[f32]) -> Result<Vec<u32>, SplatError> {
     let (setup, witnesses) = (step.setup, step.setup.some_views(SEARCH.witnesses));
     let views = witnesses.iter().map(|&v| setup.dataset.views[v].view);
     let views: Vec<PinholeView> =
         views.map(|view| view.at_level(u32::from(view.width * view.height > SEARCH.pixels))).collect();
     let options = step.options();
-    let energies = energies(step.backend, whole, &views, options, setup.config.seed)?;
-    let mut order: Vec<u32> = (0..whole.len as u32).collect();
+    let energies = energies(step.backend, opacities, &views, options, setup.config.seed)?;
+    let mut order: Vec<u32> = (0..opacities.len() as u32).collect();
     order.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
     Ok(order)
 }
@@ -129,22 +151,20 @@ fn first_sorted(order: &[u32], count: usize) -> Vec<u32> {
 }
 
 /// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it,
-/// estimated by one draw a view (relative deviation √(2 / views)).
+/// estimated by one draw a view (relative deviation √(2 / views)). Leaves the opacities limited.
 fn energies(
     backend: &mut dyn Backend,
-    whole: &Model,
+    opacities: &[f32],
     views: &[PinholeView],
     options: RenderOptions,
     seed: u64,
 ) -> Result<Vec<f32>, SplatError> {
     let limit = (SEARCH.most_opaque / (1.0 - SEARCH.most_opaque)).ln();
-    let all: Vec<u32> = (0..whole.len as u32).collect();
-    let mut model = whole.drawn(&all);
-    model.geometry[OPACITY].iter_mut().for_each(|logit| *logit = logit.min(limit));
+    let limited: Vec<f32> = opacities.iter().map(|logit| logit.min(limit)).collect();
     // o dL/do = dL/dlogit / (1 − o)
-    let slopes: Vec<f32> = model.geometry[OPACITY].iter().map(|l| 1.0 / (1.0 + l.exp())).collect();
-    backend.upload(model, Statistics::default())?;
-    let mut energies = vec![0.0f32; whole.len];
+    let slopes: Vec<f32> = limited.iter().map(|l| 1.0 / (1.0 + l.exp())).collect();
+    set_opacities(backend, &limited)?;
+    let mut energies = vec![0.0f32; opacities.len()];
     for (index, view) in views.iter().enumerate() {
         let mut rng = scene::rng::rng(seed, "energies", index as u64);
         let values = view.width * view.height * 3;
@@ -189,19 +209,20 @@ mod tests {
         };
         // The same view again and again: the mean of the draws is the energy itself.
         const DRAWS: usize = 400;
-        let estimated =
-            energies(&mut CpuBackend::default(), &model, &vec![view; DRAWS], RenderOptions::default(), 1)
-                .unwrap();
         let mut backend = CpuBackend::default();
-        let mut picture = |kept: &[u32]| {
-            backend.upload(model.drawn(kept), Statistics::default()).unwrap();
+        let opacities = model.geometry[OPACITY][..n].to_vec();
+        backend.upload(model, Statistics::default()).unwrap();
+        let views = vec![view; DRAWS];
+        let estimated = energies(&mut backend, &opacities, &views, RenderOptions::default(), 1).unwrap();
+        let mut picture = |left_out: Option<usize>| {
+            let mut kept = opacities.clone();
+            left_out.into_iter().for_each(|i| kept[i] = HIDDEN);
+            set_opacities(&mut backend, &kept).unwrap();
             backend.render(&view, &RenderOptions::default()).unwrap().rgb.data
         };
-        let all: Vec<u32> = (0..n as u32).collect();
-        let whole = picture(&all);
+        let whole = picture(None);
         for (i, &energy) in estimated.iter().enumerate() {
-            let others: Vec<u32> = all.iter().copied().filter(|&k| k as usize != i).collect();
-            let exact: f32 = picture(&others).iter().zip(&whole).map(|(a, b)| (a - b).powi(2)).sum();
+            let exact: f32 = picture(Some(i)).iter().zip(&whole).map(|(a, b)| (a - b).powi(2)).sum();
             let found = energy / DRAWS as f32;
             assert!((found / exact - 1.0).abs() < 0.3, "gaussian {i}: {found} for {exact}");
         }
