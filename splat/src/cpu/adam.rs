@@ -311,8 +311,8 @@ struct ColourStep<'a> {
 }
 
 impl ColourStep<'_> {
-    /// Takes it, with `USED` coefficients a channel: their number has to be known when the loops are
-    /// compiled. dL/d(mean) by the direction (infinite, and no step, where it is not finite).
+    /// Takes it, with `USED` coefficients a channel: their number has to be known when the loops
+    /// are compiled. dL/d(mean) by the direction (infinite, and no step, where it is not finite).
     #[inline(always)]
     fn take<S: Simd, const USED: usize>(&self, part: &mut ModelPart) -> Vec3 {
         let (degree, i) = (USED.isqrt() as u32 - 1, self.i);

@@ -7,8 +7,8 @@ pub(crate) const TILE: usize = 16;
 /// Pixels of a tile. Source: derived.
 pub(crate) const PIXELS: usize = TILE * TILE;
 
-/// Pixels of a tile side by side in a vector; its other lanes are the rows below. Most Gaussians are
-/// a few pixels wide: a vector of a whole row would hold mostly pixels that they do not reach.
+/// Pixels of a tile side by side in a vector; its other lanes are the rows below. Most Gaussians
+/// are a few pixels wide: of a vector of a whole row they would not reach most pixels.
 /// Source: the fewest lanes are four.
 pub(crate) const ACROSS: usize = 4;
 /// Strips of [`ACROSS`] columns in a tile.

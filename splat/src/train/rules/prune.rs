@@ -97,8 +97,8 @@ fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
     })?;
     let n = opacities.len();
     let order = by_energy(step, &opacities)?;
-    // The loss grows with what is removed: bisection. What is tried is hidden where it is: a copy of
-    // the model would be the peak of a run's memory.
+    // The loss grows with what is removed: bisection. What is tried is hidden where it is: a copy
+    // of the model would be the peak of a run's memory.
     let (mut good, mut bad) = (n, n / SEARCH.least_kept);
     while good > bad + n / SEARCH.resolution + 1 {
         let middle = (good + bad) / 2;
