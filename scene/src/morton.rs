@@ -13,8 +13,8 @@ use glam::Vec3;
 /// Bits of a coordinate in a code. Source: three of them fill a word of 64.
 const BITS: u32 = 21;
 
-/// The indices of `places` along a Morton curve (Morton 1966) through their box; equal ones, and
-/// those that are not finite, stay in their order.
+/// The indices of `places`, each once, along a Morton curve (Morton 1966) through the box of the
+/// finite ones; equal ones stay in their order. Where others lie is not determined.
 pub fn morton_order(places: &[Vec3]) -> Vec<usize> {
     let finite = places.iter().filter(|place| place.is_finite());
     let (low, high) = finite
@@ -26,7 +26,7 @@ pub fn morton_order(places: &[Vec3]) -> Vec<usize> {
     keyed.into_iter().map(|(_, i)| i).collect()
 }
 
-/// The bits of the three coordinates by turns; what is not a number is 0.
+/// The bits of the three coordinates by turns; what is not a number counts as 0.
 fn code(cell: Vec3) -> u64 {
     let [x, y, z] = cell.to_array().map(|v| every_third_bit(v as u32));
     x << 2 | y << 1 | z
