@@ -20,7 +20,7 @@ mod handover;
 mod help;
 mod input;
 mod measure;
-mod memory;
+pub mod memory;
 pub mod outcome;
 mod parts;
 pub mod pictures;

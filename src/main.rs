@@ -5,6 +5,7 @@
 mod allocator;
 
 use anyhow::anyhow;
+use sat_recon::memory::restart_without_blas_threads;
 use sat_recon::terminal::say_error;
 use sat_recon::{Outcome, config, run};
 use std::ffi::OsString;
@@ -17,6 +18,9 @@ static ALLOCATOR: allocator::Advising = allocator::Advising;
 fn main() -> ExitCode {
     quiet_drivers();
     refuse_large_files_by_error();
+    if let Err(error) = restart_without_blas_threads() {
+        return fail(&error);
+    }
     let arguments: Result<Vec<String>, OsString> = std::env::args_os().map(OsString::into_string).collect();
     let arguments = match arguments {
         Ok(arguments) => arguments,

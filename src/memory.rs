@@ -4,8 +4,10 @@ use crate::args::PipelineArgs;
 use crate::pipeline::Until;
 use anyhow::{Context, Result, bail};
 use baselines::Method;
-use nix::sys::resource::{Resource, getrlimit, setrlimit};
+use nix::sys::resource::{RLIM_INFINITY, Resource, getrlimit, setrlimit};
 use scene::FrameSet;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
 
 /// Bytes that a Gaussian needs in training, spherical harmonics of degree 3.
 /// Source: docs/benchmarks.md, "How does a training step grow?": 980 to 1,110 from 10,000 on.
@@ -16,11 +18,29 @@ const PIXEL_BYTES: f64 = 4.0 * 4.0 / 3.0;
 /// What the program needs beside, MiB. Source: measured; the sample's peak in its smallest stage.
 const PROGRAM_MIB: f64 = 30.0;
 
+/// Read by OpenBLAS, which Ceres and ffmpeg load, when a program starts.
+const BLAS_THREADS: &str = "OPENBLAS_NUM_THREADS";
+
 /// Lets the system refuse more memory than `mib` to this process and to those that it starts.
 pub(crate) fn limit(mib: u64) -> Result<()> {
     let (_, most) = getrlimit(Resource::RLIMIT_DATA).context("cannot read the limit of memory")?;
     let bytes = (mib << 20).min(most);
-    setrlimit(Resource::RLIMIT_DATA, bytes, most).context("cannot set --memory-limit")
+    setrlimit(Resource::RLIMIT_DATA, bytes, most).context("cannot set --memory-limit")?;
+    restart_without_blas_threads()
+}
+
+/// Under a limit of memory, starts this program anew without OpenBLAS's threads, which we never
+/// use. Each asks for up to 128 MiB when the program is loaded (on a processor with AVX-512),
+/// asks again for ever where the limit refuses, and the program cannot end until it is given them.
+pub fn restart_without_blas_threads() -> Result<()> {
+    let (limit, _) = getrlimit(Resource::RLIMIT_DATA).context("cannot read the limit of memory")?;
+    if limit == RLIM_INFINITY || std::env::var_os(BLAS_THREADS).is_some() {
+        return Ok(());
+    }
+    let program = std::env::current_exe().context("cannot find this program to start it anew")?;
+    let arguments = std::env::args_os().skip(1);
+    let failed = Command::new(&program).args(arguments).env(BLAS_THREADS, "1").exec();
+    Err(failed).with_context(|| format!("cannot start {} anew under a limit of memory", program.display()))
 }
 
 /// Refuses a run that will need more memory than the limit, before it has worked for hours.
