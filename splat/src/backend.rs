@@ -210,14 +210,13 @@ pub trait Backend {
 pub(crate) fn check(model: &Model, statistics: &Statistics) -> Result<(), SplatError> {
     let (n, values) = (padded(model.len), model.len * model.sh_stride());
     let planes = [&model.geometry, &model.geometry_m, &model.geometry_v].into_iter().flatten();
-    let mut planes = planes.chain([&model.steps]);
-    let mut harmonics = [&model.sh, &model.sh_m, &model.sh_v].into_iter();
+    let mut planes = planes.chain(&model.sh_v).chain([&model.steps]);
     let mut sums = [&statistics.gradient, &statistics.visible].into_iter();
     let wrong = if model.sh_degree > MAX_SH_DEGREE {
         "the degree of the spherical harmonics is above 3"
     } else if planes.any(|plane| plane.len() != n) {
         "a plane has another length than the number of Gaussians asks for"
-    } else if harmonics.any(|sh| sh.len() != values) {
+    } else if model.sh.len() != values {
         "there are not as many spherical harmonics as their degree asks for"
     } else if !model.part.is_empty() && model.part.len() != model.len {
         "the parts are of another number of Gaussians"

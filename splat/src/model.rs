@@ -34,6 +34,10 @@ pub(crate) const OPACITY: usize = 10;
 /// Geometric parameters: plane p of Gaussian i is `planes[p][i]`.
 pub type Planes = [Vec<f32>; GEOMETRY];
 
+/// Three values of a Gaussian, one for each colour channel: channel c of Gaussian i is
+/// `planes[c][i]`.
+pub type ChannelPlanes = [Vec<f32>; 3];
+
 /// N Gaussians in training. Invariant: every plane has `padded(len)` entries, every SH array `len ·
 /// 3K`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -50,10 +54,8 @@ pub struct Model {
     pub geometry_v: Planes,
     /// [N × K × 3] spherical harmonics, coefficient-major.
     pub sh: Vec<f32>,
-    /// First moments of the spherical harmonics.
-    pub sh_m: Vec<f32>,
-    /// Second moments of the spherical harmonics.
-    pub sh_v: Vec<f32>,
+    /// Second moments of the constant harmonic by channel, which size the steps of all harmonics.
+    pub sh_v: ChannelPlanes,
     /// Steps in which the Gaussian was visible, that is Adam's clock.
     pub steps: Vec<f32>,
     /// The part of each Gaussian (0: the body), as many as there are Gaussians; none where nothing
@@ -144,17 +146,16 @@ impl Model {
         Gaussians { sh, ..self.to_gaussians() }
     }
 
-    /// Gives up the moments, two thirds of the memory: no step follows.
+    /// Gives up the moments: no step follows.
     pub(crate) fn forget_moments(&mut self) {
         (self.geometry_m, self.geometry_v) = (Planes::default(), Planes::default());
-        (self.sh_m, self.sh_v) = (Vec::new(), Vec::new());
+        self.sh_v = ChannelPlanes::default();
     }
 
     /// Trades moments and clocks with `other`, of as many Gaussians.
     pub(crate) fn swap_moments(&mut self, other: &mut Self) {
         std::mem::swap(&mut self.geometry_m, &mut other.geometry_m);
         std::mem::swap(&mut self.geometry_v, &mut other.geometry_v);
-        std::mem::swap(&mut self.sh_m, &mut other.sh_m);
         std::mem::swap(&mut self.sh_v, &mut other.sh_v);
         std::mem::swap(&mut self.steps, &mut other.steps);
     }
@@ -162,13 +163,12 @@ impl Model {
     /// Moments and clocks of zero for the Gaussians of this one, in a model without anything else;
     /// zeros take no memory until they are written.
     pub(crate) fn fresh_moments(&self) -> Self {
-        let zeros = || -> Planes { std::array::from_fn(|_| vec![0.0; padded(self.len)]) };
+        let zeros = vec![0.0; padded(self.len)];
         Self {
-            geometry_m: zeros(),
-            geometry_v: zeros(),
-            sh_m: vec![0.0; self.sh.len()],
-            sh_v: vec![0.0; self.sh.len()],
-            steps: vec![0.0; padded(self.len)],
+            geometry_m: std::array::from_fn(|_| zeros.clone()),
+            geometry_v: std::array::from_fn(|_| zeros.clone()),
+            sh_v: std::array::from_fn(|_| zeros.clone()),
+            steps: zeros,
             ..Self::default()
         }
     }
@@ -212,11 +212,11 @@ impl Model {
                 plane.push(value);
             }
         }
-        self.steps.truncate(self.len);
-        self.steps.push(0.0);
+        for plane in self.sh_v.iter_mut().chain([&mut self.steps]) {
+            plane.truncate(self.len);
+            plane.push(0.0);
+        }
         self.sh.extend_from_slice(sh);
-        self.sh_m.resize(self.sh.len(), 0.0);
-        self.sh_v.resize(self.sh.len(), 0.0);
         self.len += 1;
     }
 
@@ -224,13 +224,9 @@ impl Model {
     pub(crate) fn append(&mut self, rows: &[([f32; GEOMETRY], usize)]) {
         let k = self.sh_stride();
         // Exactly what is needed: vectors that double hold up to as much again.
-        let planes = self.geometry.iter_mut().chain(&mut self.geometry_m).chain(&mut self.geometry_v);
-        for plane in planes.chain([&mut self.steps]) {
-            plane.reserve_exact(padded(self.len + rows.len()).saturating_sub(plane.len()));
-        }
-        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            values.reserve_exact(rows.len() * k);
-        }
+        let room = padded(self.len + rows.len());
+        self.planes_mut().for_each(|plane| plane.reserve_exact(room.saturating_sub(plane.len())));
+        self.sh.reserve_exact(rows.len() * k);
         for (row, parent) in rows {
             let sh: Vec<f32> = self.sh[parent * k..(parent + 1) * k].to_vec();
             self.push(row, &sh);
@@ -245,14 +241,9 @@ impl Model {
     /// [`Model::keep`] does.
     pub(crate) fn reorder(&mut self, order: &[usize]) {
         let k = self.sh_stride();
-        for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
-            planes.iter_mut().for_each(|plane| permute(plane, order, 1));
-        }
-        permute(&mut self.steps, order, 1);
+        self.planes_mut().for_each(|plane| permute(plane, order, 1));
         permute(&mut self.part, order, 1);
-        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            permute(values, order, k);
-        }
+        permute(&mut self.sh, order, k);
     }
 
     /// Puts neighbours in space beside each other. What a tile shows lies together then, and what a
@@ -271,14 +262,9 @@ impl Model {
         }
         debug_assert!(order.windows(2).all(|pair| pair[0] < pair[1]), "the order must ascend");
         let k = self.sh_stride();
-        for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
-            planes.iter_mut().for_each(|plane| compact(plane, order, 1));
-        }
-        compact(&mut self.steps, order, 1);
+        self.planes_mut().for_each(|plane| compact(plane, order, 1));
         compact(&mut self.part, order, 1);
-        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            compact(values, order, k);
-        }
+        compact(&mut self.sh, order, k);
         self.len = order.len();
         self.pad();
         removed
@@ -292,34 +278,29 @@ impl Model {
         if new == old {
             return;
         }
-        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            let mut grown = vec![0.0; self.len * new];
-            for (to, from) in grown.chunks_exact_mut(new).zip(values.chunks_exact(old)) {
-                let n = old.min(new);
-                to[..n].copy_from_slice(&from[..n]);
-            }
-            *values = grown;
+        let mut grown = vec![0.0; self.len * new];
+        for (to, from) in grown.chunks_exact_mut(new).zip(self.sh.chunks_exact(old)) {
+            let n = old.min(new);
+            to[..n].copy_from_slice(&from[..n]);
         }
+        self.sh = grown;
     }
 
     /// Forgets the moments of Gaussian `i`.
     pub(crate) fn reset_moments(&mut self, i: usize) {
-        for p in 0..GEOMETRY {
-            self.geometry_m[p][i] = 0.0;
-            self.geometry_v[p][i] = 0.0;
-        }
-        let k = self.sh_stride();
-        self.sh_m[i * k..(i + 1) * k].fill(0.0);
-        self.sh_v[i * k..(i + 1) * k].fill(0.0);
-        self.steps[i] = 0.0;
+        let planes = self.geometry_m.iter_mut().chain(&mut self.geometry_v).chain(&mut self.sh_v);
+        planes.chain([&mut self.steps]).for_each(|plane| plane[i] = 0.0);
     }
 
     fn pad(&mut self) {
         let n = padded(self.len);
-        for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
-            planes.iter_mut().for_each(|plane| plane.resize(n, 0.0));
-        }
-        self.steps.resize(n, 0.0);
+        self.planes_mut().for_each(|plane| plane.resize(n, 0.0));
+    }
+
+    /// All planes: parameters, moments and clocks.
+    fn planes_mut(&mut self) -> impl Iterator<Item = &mut Vec<f32>> {
+        let moments = self.geometry_m.iter_mut().chain(&mut self.geometry_v).chain(&mut self.sh_v);
+        self.geometry.iter_mut().chain(moments).chain([&mut self.steps])
     }
 }
 
@@ -331,24 +312,18 @@ mod tests {
     fn numbered(n: usize) -> Model {
         let numbers = |k: usize| (0..n).flat_map(|i| vec![i as f32; k]).collect::<Vec<f32>>();
         let mut model = Model { len: n, sh_degree: 1, sh: numbers(12), ..Model::default() };
-        (model.sh_m, model.sh_v, model.steps) = (numbers(12), numbers(12), numbers(1));
         model.part = (0..n as u8).collect();
-        for planes in [&mut model.geometry, &mut model.geometry_m, &mut model.geometry_v] {
-            planes.fill(numbers(1));
-        }
+        model.planes_mut().for_each(|plane| *plane = numbers(1));
         model.pad();
         model
     }
 
     /// The numbers of the Gaussians, the same in all that they have.
-    fn numbers(model: &Model) -> Vec<u8> {
-        for (i, &number) in model.part.iter().enumerate() {
+    fn numbers(model: &mut Model) -> Vec<u8> {
+        for (i, &number) in model.part.clone().iter().enumerate() {
             let value = f32::from(number);
-            let planes = [&model.geometry, &model.geometry_m, &model.geometry_v];
-            assert!(planes.iter().all(|planes| planes.iter().all(|plane| plane[i] == value)));
-            let groups = [&model.sh, &model.sh_m, &model.sh_v].map(|v| &v[i * 12..(i + 1) * 12]);
-            assert!(groups.iter().all(|group| group.iter().all(|&v| v == value)));
-            assert_eq!(model.steps[i], value);
+            assert!(model.planes_mut().all(|plane| plane[i] == value));
+            assert!(model.sh[i * 12..(i + 1) * 12].iter().all(|&v| v == value));
         }
         assert_eq!((model.part.len(), model.sh.len()), (model.len, 12 * model.len));
         assert!(model.geometry.iter().all(|plane| plane.len() == padded(model.len)));
@@ -359,11 +334,11 @@ mod tests {
     fn all_that_a_gaussian_has_stays_together() {
         let mut model = numbered(40);
         model.reorder(&(0..40).map(|i| i * 7 % 40).collect::<Vec<_>>());
-        assert_eq!(numbers(&model)[..4], [0, 7, 14, 21]);
+        assert_eq!(numbers(&mut model)[..4], [0, 7, 14, 21]);
         assert_eq!(model.keep(&(0..40).step_by(2).collect::<Vec<_>>()), 20);
-        assert_eq!(numbers(&model)[..4], [0, 14, 28, 2]);
+        assert_eq!(numbers(&mut model)[..4], [0, 14, 28, 2]);
         model.sort_in_space();
-        assert_eq!(numbers(&model), (0..40).step_by(2).collect::<Vec<u8>>());
+        assert_eq!(numbers(&mut model), (0..40).step_by(2).collect::<Vec<u8>>());
         model.forget_moments();
         assert_eq!(model.keep(&[3, 5]), 18, "without moments");
         assert_eq!(model.keep(&[]), 0, "some stay");

@@ -18,8 +18,8 @@ impl Moving {
         let mut arrays: Vec<&[f32]> = model.geometry.iter().map(Vec::as_slice).collect();
         arrays.push(&model.sh);
         if kept == Kept::Training {
-            arrays.extend(model.geometry_m.iter().chain(&model.geometry_v).map(Vec::as_slice));
-            arrays.extend([&model.sh_m[..], &model.sh_v, &model.steps]);
+            let moments = model.geometry_m.iter().chain(&model.geometry_v).chain(&model.sh_v);
+            arrays.extend(moments.chain([&model.steps]).map(Vec::as_slice));
             let seen = self.gaussians.statistics();
             arrays.extend([&seen.gradient[..], &seen.visible]);
         }
@@ -43,8 +43,8 @@ impl Moving {
         seen.reset(model.len);
         let mut arrays: Vec<&mut Vec<f32>> = model.geometry.iter_mut().chain([&mut model.sh]).collect();
         if kept == Kept::Training {
-            arrays.extend(model.geometry_m.iter_mut().chain(&mut model.geometry_v));
-            arrays.extend([&mut model.sh_m, &mut model.sh_v, &mut model.steps]);
+            let moments = model.geometry_m.iter_mut().chain(&mut model.geometry_v);
+            arrays.extend(moments.chain(&mut model.sh_v).chain([&mut model.steps]));
             arrays.extend([&mut seen.gradient, &mut seen.visible]);
         }
         for array in arrays {

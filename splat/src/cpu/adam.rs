@@ -2,7 +2,7 @@
 //! in: sums of [`super::rasterise::Backward`] by pair. out: parameters and moments moved one step,
 //! or plain gradients.
 //!
-//! Adam (Kingma and Ba 2015) runs on each Gaussian's own clock: a step counts only where the
+//! Adam (Kingma and Ba 2015; colours: `reference/adam.rs`) runs on each Gaussian's own clock: a step counts only where the
 //! Gaussian was visible, so that the others keep parameters and moments as they are instead of
 //! drifting on stale momentum.
 
@@ -14,7 +14,6 @@ use super::rasterise::SUMS;
 use super::sh;
 use super::simd::{Simd, array};
 use super::sort::Bins;
-use crate::backend::LearningRates;
 use crate::camera::{CameraConstants, PartCameras};
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, OPACITY, ROTATION};
 use crate::parts::{PartPull, PartPulls};
@@ -65,12 +64,9 @@ fn fetch_ahead<S: Simd>(a: &Adam, block: usize) {
             S::prefetch(sums.cast());
             S::prefetch(sums.wrapping_add(1).cast::<u8>().wrapping_sub(1));
         }
-        let GradientSink::Adam(state) = &a.part.sink else { continue };
-        for plane in [&*a.part.sh, &*state.sh_m, &*state.sh_v] {
-            let first = plane.as_ptr().wrapping_add(i * a.part.sh_stride).cast::<u8>();
-            // Cache lines are as long as the widest vectors.
-            (0..used).step_by(LANE_PAD * size_of::<f32>()).for_each(|at| S::prefetch(first.wrapping_add(at)));
-        }
+        let first = a.part.sh.as_ptr().wrapping_add(i * a.part.sh_stride).cast::<u8>();
+        // Cache lines are as long as the widest vectors.
+        (0..used).step_by(LANE_PAD * size_of::<f32>()).for_each(|at| S::prefetch(first.wrapping_add(at)));
     }
 }
 
@@ -143,25 +139,18 @@ fn adam_block<S: Simd>(
         GradientSink::Adam(state) => bias_corrections::<S>(&state.steps[block..]),
         GradientSink::Gradient { .. } => [S::splat(1.0); 2],
     };
-    let mut correction = [[1.0f32; LANE_PAD]; 2];
-    for (lanes, c) in correction.iter_mut().zip(corrections) {
-        c.write(lanes);
-    }
-    let rates = match &a.part.sink {
-        GradientSink::Adam(state) => sh_rates(&state.rates),
-        GradientSink::Gradient { .. } => [0.0; SH_COUNT * 3],
-    };
+    let mut correction = [1.0f32; LANE_PAD];
+    corrections[1].write(&mut correction);
     // Colours move only where the shape does: a Gaussian is left as it is, or takes the whole step.
     let mut by_direction = [[0.0f32; LANE_PAD]; 3];
     for lane in (0..S::LANES).filter(|lane| S::bits(finite) & (1 << lane) != 0) {
         let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
-        let corrections = [correction[0][lane], correction[1][lane]];
-        let step = ColourStep { camera, i: block + lane, d_rgb: rgb, corrections, rates: &rates };
+        let step = ColourStep { camera, i: block + lane, d_rgb: rgb, correction: correction[lane] };
         let g = match camera.sh_degree {
-            0 => step.take::<S, 1>(&mut a.part),
-            1 => step.take::<S, 4>(&mut a.part),
-            2 => step.take::<S, 9>(&mut a.part),
-            _ => step.take::<S, SH_COUNT>(&mut a.part),
+            0 => step.take::<1>(&mut a.part),
+            1 => step.take::<4>(&mut a.part),
+            2 => step.take::<9>(&mut a.part),
+            _ => step.take::<SH_COUNT>(&mut a.part),
         };
         for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
             plane[lane] = value;
@@ -290,13 +279,6 @@ fn note_statistics<S: Simd>(
     S::read(visible).add(S::splat(1.0).keep(on)).write(visible);
 }
 
-/// Step sizes of the spherical harmonics, coefficient-major.
-fn sh_rates(rates: &LearningRates) -> [f32; SH_COUNT * 3] {
-    let mut all = [rates.sh_rest; SH_COUNT * 3];
-    all[..3].fill(rates.sh0);
-    all
-}
-
 /// The step of a Gaussian's colours.
 struct ColourStep<'a> {
     camera: &'a CameraConstants,
@@ -304,17 +286,15 @@ struct ColourStep<'a> {
     i: usize,
     /// dL/d(colour).
     d_rgb: [f32; 3],
-    /// See [`bias_corrections`].
-    corrections: [f32; 2],
-    /// See [`sh_rates`].
-    rates: &'a [f32; SH_COUNT * 3],
+    /// Of the second moments, see [`bias_corrections`].
+    correction: f32,
 }
 
 impl ColourStep<'_> {
     /// Takes it, with `USED` coefficients a channel: their number has to be known when the loops
     /// are compiled. dL/d(mean) by the direction (infinite, and no step, where it is not finite).
     #[inline(always)]
-    fn take<S: Simd, const USED: usize>(&self, part: &mut ModelPart) -> Vec3 {
+    fn take<const USED: usize>(&self, part: &mut ModelPart) -> Vec3 {
         let (degree, i) = (USED.isqrt() as u32 - 1, self.i);
         let mean = Vec3::new(part.geometry[MEAN][i], part.geometry[MEAN + 1][i], part.geometry[MEAN + 2][i]);
         let own = i * part.sh_stride..i * part.sh_stride + USED * 3;
@@ -335,68 +315,38 @@ impl ColourStep<'_> {
         if !by_mean.is_finite() {
             return Vec3::INFINITY;
         }
-        let mut gradient = [0.0f32; SH_COUNT * 3];
-        for (out, y) in gradient[..USED * 3].chunks_exact_mut(3).zip(basis) {
-            out.copy_from_slice(&array!(c in 3 => d_rgb[c] * y));
-        }
         match &mut part.sink {
-            GradientSink::Gradient { sh, .. } => sh[own].copy_from_slice(&gradient[..USED * 3]),
+            GradientSink::Gradient { sh, .. } => {
+                for (out, y) in sh[own].chunks_exact_mut(3).zip(basis) {
+                    out.copy_from_slice(&array!(c in 3 => d_rgb[c] * y));
+                }
+            }
             GradientSink::Adam(state) => {
-                let moments = [&mut state.sh_m[own.clone()], &mut state.sh_v[own]];
-                self.go::<S, USED>(coefficients, moments, &gradient);
+                let by_channel = self.by_channel(state, array!(c in 3 => basis[0] * d_rgb[c]));
+                let step = array!(c in 3 => d_rgb[c] * by_channel[c]);
+                for (k, sh) in coefficients.chunks_exact_mut(3).enumerate() {
+                    let rate = basis[k] * if k == 0 { state.rates.sh0 } else { state.rates.sh_rest };
+                    for (value, step) in sh.iter_mut().zip(step) {
+                        *value -= rate * step;
+                    }
+                }
             }
         }
         by_mean
     }
 
-    /// Moves the coefficients and their moments along a gradient.
+    /// The second moments after a gradient of the constant harmonics, and the reciprocals of what
+    /// all steps of their channels are divided by.
     #[inline(always)]
-    fn go<S: Simd, const USED: usize>(
-        &self,
-        value: &mut [f32],
-        [m, v]: [&mut [f32]; 2],
-        gradient: &[f32; SH_COUNT * 3],
-    ) {
-        let corrections = array!(k in 2 => S::splat(self.corrections[k]));
-        let whole = USED * 3 / S::LANES * S::LANES;
-        for at in (0..whole).step_by(S::LANES) {
-            let step = [&gradient[at..], &self.rates[at..]];
-            move_lanes::<S>(&mut value[at..], [&mut m[at..], &mut v[at..]], step, corrections);
-        }
-        if whole < USED * 3 {
-            // What follows is the next Gaussian's.
-            let mut rest = [[0.0f32; LANE_PAD]; 3];
-            for (to, from) in rest.iter_mut().zip([&*value, &*m, &*v]) {
-                to[..USED * 3 - whole].copy_from_slice(&from[whole..USED * 3]);
-            }
-            let [value_rest, m_rest, v_rest] = &mut rest;
-            let step = [&gradient[whole..], &self.rates[whole..]];
-            move_lanes::<S>(value_rest, [m_rest, v_rest], step, corrections);
-            for (to, from) in [value, m, v].into_iter().zip(&rest) {
-                to[whole..USED * 3].copy_from_slice(&from[..USED * 3 - whole]);
-            }
-        }
+    fn by_channel(&self, state: &mut AdamPart, gradient: [f32; 3]) -> [f32; 3] {
+        let beta = BETAS[1] as f32;
+        array!(c in 3 => {
+            let kept = &mut state.sh_v[c][self.i];
+            let v = *kept * beta + gradient[c] * gradient[c] * (1.0 - beta);
+            *kept = if v >= TINY[1] { v } else { 0.0 };
+            1.0 / ((*kept * self.correction).sqrt() + EPSILON as f32)
+        })
     }
-}
-
-/// A vector of values and their moments along a gradient, by step sizes.
-#[inline(always)]
-fn move_lanes<S: Simd>(
-    value: &mut [f32],
-    [m, v]: [&mut [f32]; 2],
-    [gradient, rate]: [&[f32]; 2],
-    [c1, c2]: [S; 2],
-) {
-    let [beta1, beta2] = BETAS.map(|beta| beta as f32);
-    let (g, rate) = (S::read(gradient), S::read(rate));
-    let m1 = S::read(m).mul(S::splat(beta1)).add(g.mul(S::splat(1.0 - beta1)));
-    let v1 = S::read(v).mul(S::splat(beta2)).add(g.mul(g).mul(S::splat(1.0 - beta2)));
-    let m1 = m1.keep(m1.abs().ge(S::splat(TINY[0])));
-    let v1 = v1.keep(v1.ge(S::splat(TINY[1])));
-    m1.write(m);
-    v1.write(v);
-    let size = v1.mul(c2).sqrt().add(S::splat(EPSILON as f32));
-    S::read(value).sub(rate.mul(m1).mul(c1).mul(size.reciprocal())).write(value);
 }
 
 simd_kernel!(

@@ -392,7 +392,7 @@ mod tests {
             |m, _| m.geometry_m[3].clear(),
             |m, _| m.geometry_v[10].truncate(16),
             |m, _| m.sh.truncate(7),
-            |m, _| m.sh_v.clear(),
+            |m, _| m.sh_v[2].clear(),
             |m, _| m.steps.truncate(31),
             |_, s| s.visible.truncate(16),
         ];

@@ -64,10 +64,8 @@ pub(super) struct AdamPart<'a> {
     pub(super) geometry_m: [&'a mut [f32]; GEOMETRY],
     /// Second moments of the geometry.
     pub(super) geometry_v: [&'a mut [f32]; GEOMETRY],
-    /// First moments of the spherical harmonics.
-    pub(super) sh_m: &'a mut [f32],
-    /// Second moments of the spherical harmonics.
-    pub(super) sh_v: &'a mut [f32],
+    /// Second moments of the constant harmonic by channel.
+    pub(super) sh_v: [&'a mut [f32]; 3],
     /// Clocks.
     pub(super) steps: &'a mut [f32],
     /// Sums of the screen gradients' norms.
@@ -84,8 +82,7 @@ impl<'a> ModelPart<'a> {
             rates,
             geometry_m: slices(&mut model.geometry_m),
             geometry_v: slices(&mut model.geometry_v),
-            sh_m: &mut model.sh_m,
-            sh_v: &mut model.sh_v,
+            sh_v: slices(&mut model.sh_v),
             steps: &mut model.steps,
             gradient: &mut statistics.gradient,
             visible: &mut statistics.visible,
@@ -138,7 +135,7 @@ impl GradientSink<'_> {
                 (Self::Gradient { geometry, sh }, Self::Gradient { geometry: geometry_rest, sh: sh_rest })
             }
             Self::Adam(part) => {
-                let (part, rest) = part.split(at, at_sh);
+                let (part, rest) = part.split(at);
                 (Self::Adam(part), Self::Adam(rest))
             }
         }
@@ -146,28 +143,27 @@ impl GradientSink<'_> {
 }
 
 impl AdamPart<'_> {
-    fn split(self, at: usize, at_sh: usize) -> (Self, Self) {
+    fn split(self, at: usize) -> (Self, Self) {
         let [geometry_m, geometry_m_rest] = split(self.geometry_m, at);
         let [geometry_v, geometry_v_rest] = split(self.geometry_v, at);
         let [[steps, gradient, visible], rest] = split([self.steps, self.gradient, self.visible], at);
-        let [[sh_m, sh_v], [sh_m_rest, sh_v_rest]] = split([self.sh_m, self.sh_v], at_sh);
+        let [sh_v, sh_v_rest] = split(self.sh_v, at);
         let rates = self.rates;
         let [steps_rest, gradient_rest, visible_rest] = rest;
         let rest = Self {
             rates,
             geometry_m: geometry_m_rest,
             geometry_v: geometry_v_rest,
-            sh_m: sh_m_rest,
             sh_v: sh_v_rest,
             steps: steps_rest,
             gradient: gradient_rest,
             visible: visible_rest,
         };
-        (Self { rates, geometry_m, geometry_v, sh_m, sh_v, steps, gradient, visible }, rest)
+        (Self { rates, geometry_m, geometry_v, sh_v, steps, gradient, visible }, rest)
     }
 }
 
-fn slices(planes: &mut [Vec<f32>; GEOMETRY]) -> [&mut [f32]; GEOMETRY] {
+fn slices<const N: usize>(planes: &mut [Vec<f32>; N]) -> [&mut [f32]; N] {
     planes.each_mut().map(|plane| plane.as_mut_slice())
 }
 
@@ -189,7 +185,7 @@ mod tests {
         planes.into_iter().flatten().for_each(|plane| plane.resize(padded(n), 0.0));
         model.steps = (0..padded(n)).map(|i| i as f32).collect();
         model.sh = (0..n * 12).map(|k| (k / 12) as f32).collect();
-        (model.sh_m, model.sh_v) = (model.sh.clone(), model.sh.clone());
+        model.sh_v.fill(model.steps.clone());
         model
     }
 
@@ -219,7 +215,7 @@ mod tests {
                 for i in 0..part.count {
                     let number = (part.first + i) as f32;
                     assert_eq!((state.steps[i], part.sh[12 * i]), (number, number), "{n}");
-                    assert_eq!((state.sh_m[12 * i], state.sh_v[12 * i + 11]), (number, number), "{n}");
+                    assert_eq!((state.sh_v[0][i], state.sh_v[2][i]), (number, number), "{n}");
                 }
                 next += part.count;
             }

@@ -144,7 +144,7 @@ impl Bound {
         let page = |p: &super::pages::Page| {
             let project = [f, &p.uniform, &p.geometry, &p.sh, &b.records, &b.colours, &b.boxes, &b.flags];
             let optimise = || {
-                let model = [f, &p.uniform, &p.geometry, &p.sh, &p.moments];
+                let model = [f, &p.uniform, &p.geometry, &p.sh];
                 let rest = [&b.sums_a, &b.sums_b, &b.sums_c, &b.spans, &b.counters];
                 group(&kernels.adam, &[&model[..], &rest[..]].concat())
             };

@@ -2,22 +2,24 @@
 
 use super::backend::GpuBackend;
 use super::bound::Stage;
+use super::layout::Frame;
 use crate::error::SplatError;
 use crate::model::{GEOMETRY, OPACITY};
 use crate::reference::constants::BETAS;
 use crate::view::{PinholeView, RenderOptions};
 
 impl GpuBackend {
-    /// Leaves (1 − β₁) dL/d(parameters) in the first moments, where dL/d(colour) is `gradient`
-    /// [H × W × 3]. Adam's moments are lost.
+    /// Leaves (1 − β₁) dL/d(geometry) in the first moments, where dL/d(colour) is `gradient`
+    /// [H × W × 3]; the harmonics take a step at `sh_rate`. Adam's moments are lost.
     pub(super) fn differentiate(
         &mut self,
         view: &PinholeView,
         options: &RenderOptions,
         gradient: &[f32],
+        sh_rate: f32,
     ) -> Result<(), SplatError> {
         self.prepare(view, true)?;
-        let frame = self.frame_of(view, options);
+        let frame = Frame { rate_sh0: sh_rate, rate_sh_rest: sh_rate, ..self.frame_of(view, options) };
         self.run(frame, Stage::Project..=Stage::Forward, None)?;
         let (Some((b, _)), Some(pages)) = (&self.screen, &self.pages) else { return Ok(()) };
         // What the loss leaves in the picture's place: dL/dC and C · dL/dC.
@@ -30,10 +32,9 @@ impl GpuBackend {
         for page in &pages.list {
             let moments = 4 * GEOMETRY as u64 * u64::from(page.job.stride);
             encoder.clear_buffer(&page.geometry, moments, Some(moments));
-            encoder.clear_buffer(&page.moments, 0, None);
         }
         self.gpu.queue.submit([encoder.finish()]);
-        // Rates are zero: nothing moves, and the first moments become (1 − β₁) times the gradient.
+        // The other rates are zero: no shape moves, and the first moments become (1 − β₁) times the gradient.
         self.run(frame, Stage::Backward..=Stage::Optimise, None)?;
         Ok(())
     }
@@ -45,7 +46,7 @@ impl GpuBackend {
         options: &RenderOptions,
         gradient: &[f32],
     ) -> Result<Vec<f32>, SplatError> {
-        self.differentiate(view, options, gradient)?;
+        self.differentiate(view, options, gradient, 0.0)?;
         let mut all = Vec::with_capacity(self.sizes.room);
         for page in self.pages.iter().flat_map(|p| &p.list) {
             let plane = 4 * (GEOMETRY + OPACITY) as u64 * u64::from(page.job.stride);

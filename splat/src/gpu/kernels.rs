@@ -96,7 +96,7 @@ pub(crate) const SOURCES: [KernelSource; 13] = [
     KernelSource {
         name: "adam",
         parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/adam.wgsl")],
-        slots: &[VIEW, PAGE, Write, Write, Write, Read, Read, Read, Read, Write],
+        slots: &[VIEW, PAGE, Write, Write, Read, Read, Read, Read, Write],
         entries: &["main"],
     },
     KernelSource {

@@ -49,11 +49,13 @@ pub(crate) const BLOCK: u32 = 2048;
 pub(crate) const SPAN: usize = 256;
 /// Threads of a group. Source: the most that every adapter has (WebGPU's default limits).
 pub(crate) const GROUP: u32 = 256;
-/// Planes of the geometry: parameters, first and second moments, clock, two statistics. Source:
-/// derived.
+/// Planes of the geometry: parameters, first and second moments, second moments of three colour
+/// channels, clock, two statistics. Source: derived.
 pub(crate) const PLANES: usize = STATISTICS + 2;
+/// First plane of the colours' second moments. Source: derived.
+pub(crate) const COLOUR_MOMENTS: usize = 3 * GEOMETRY;
 /// Plane of the clock. Source: derived.
-pub(crate) const CLOCK: usize = 3 * GEOMETRY;
+pub(crate) const CLOCK: usize = COLOUR_MOMENTS + 3;
 /// First plane of the statistics. Source: derived.
 pub(crate) const STATISTICS: usize = CLOCK + 1;
 

@@ -4,7 +4,7 @@
 
 use super::context::Gpu;
 use super::kernels::Kernels;
-use super::layout::{CLOCK, GatherJob, PLANES, PageJob, STATISTICS};
+use super::layout::{COLOUR_MOMENTS, GatherJob, PLANES, PageJob, STATISTICS};
 use crate::error::SplatError;
 use crate::model::{GEOMETRY, Model, padded};
 use crate::statistics::Statistics;
@@ -19,12 +19,10 @@ pub(crate) struct Page {
     pub(crate) job: PageJob,
     /// [`PageJob`] for the kernels.
     pub(crate) uniform: wgpu::Buffer,
-    /// \[36\]\[stride\], or \[11\]\[stride\] where nothing is trained.
+    /// \[39\]\[stride\], or \[11\]\[stride\] where nothing is trained.
     pub(crate) geometry: wgpu::Buffer,
     /// \[3K\]\[stride\].
     pub(crate) sh: wgpu::Buffer,
-    /// \[2\]\[3K\]\[stride\] first and second moments.
-    pub(crate) moments: wgpu::Buffer,
 }
 
 /// All of them.
@@ -46,21 +44,18 @@ pub(crate) enum PagePart {
     Geometry,
     /// Spherical harmonics.
     Sh,
-    /// Their moments.
-    Moments,
 }
 
 impl PagePart {
     /// In the order in which they are replaced: the largest first, so that the others fit where it
     /// was.
-    pub(crate) const ALL: [Self; 3] = [Self::Moments, Self::Geometry, Self::Sh];
+    pub(crate) const ALL: [Self; 2] = [Self::Sh, Self::Geometry];
 
     fn planes(self, sh_stride: usize, training: bool) -> usize {
         match self {
             Self::Geometry if training => PLANES,
             Self::Geometry => GEOMETRY,
             Self::Sh => sh_stride,
-            Self::Moments => 2 * sh_stride * usize::from(training),
         }
     }
 }
@@ -98,17 +93,15 @@ impl Pages {
         let room = room(gpu.largest_buffer(), sh_stride, training);
         let list = ranges(n, room).into_iter().map(|job| {
             let part = |p: PagePart| part(gpu, p, &job, sh_stride, training);
-            let (geometry, sh, moments) =
-                (part(PagePart::Geometry)?, part(PagePart::Sh)?, part(PagePart::Moments)?);
-            Ok(Page { uniform: gpu.uniform(job)?, job, geometry, sh, moments })
+            let (geometry, sh) = (part(PagePart::Geometry)?, part(PagePart::Sh)?);
+            Ok(Page { uniform: gpu.uniform(job)?, job, geometry, sh })
         });
         Ok(Self { list: list.collect::<Result<_, SplatError>>()?, n, sh_stride, training })
     }
 
     /// Bytes of all pages, by part.
     pub(crate) fn memory(&self) -> Vec<(&'static str, u64)> {
-        let parts =
-            [("geometry", PagePart::Geometry), ("sh", PagePart::Sh), ("sh_moments", PagePart::Moments)];
+        let parts = [("geometry", PagePart::Geometry), ("sh", PagePart::Sh)];
         let sizes = parts.map(|(name, part)| (name, self.list.iter().map(|p| p.part(part).size()).sum()));
         sizes.to_vec()
     }
@@ -117,23 +110,18 @@ impl Pages {
     pub(crate) fn upload(&self, gpu: &Gpu, model: &Model, s: &Statistics) {
         let none = vec![0.0; padded(self.n)];
         let statistics = [&s.gradient, &s.visible].map(|sums| if sums.len() < self.n { &none } else { sums });
-        let moments = model.geometry_m.iter().chain(&model.geometry_v).chain([&model.steps]);
+        let moments = model.geometry_m.iter().chain(&model.geometry_v).chain(&model.sh_v);
         for page in &self.list {
             let PageJob { first, count, stride, .. } = page.job;
             let (first, count, stride) = (first as usize, count as usize, stride as usize);
             let mut geometry = Vec::with_capacity(page.geometry.size() as usize / 4);
-            let planes = model.geometry.iter().chain(moments.clone()).chain(statistics);
+            let planes = model.geometry.iter().chain(moments.clone()).chain([&model.steps]).chain(statistics);
             for plane in planes.take(if self.training { PLANES } else { GEOMETRY }) {
                 geometry.extend_from_slice(&plane[first..first + count]);
                 geometry.resize(geometry.len() + stride - count, 0.0);
             }
             gpu.write(&page.geometry, 0, &geometry);
             gpu.write(&page.sh, 0, &self.planes_of(&page.job, &model.sh));
-            if self.training {
-                gpu.write(&page.moments, 0, &self.planes_of(&page.job, &model.sh_m));
-                let second = 4 * (self.sh_stride * stride) as u64;
-                gpu.write(&page.moments, second, &self.planes_of(&page.job, &model.sh_v));
-            }
         }
     }
 
@@ -151,7 +139,7 @@ impl Pages {
     /// Reads everything back; only where there are moments.
     pub(crate) fn download(&self, gpu: &Gpu, sh_degree: u32) -> Result<(Model, Statistics), SplatError> {
         let mut planes = vec![vec![0.0f32; padded(self.n)]; PLANES];
-        let mut sh = [(); 3].map(|()| vec![0.0f32; self.n * self.sh_stride]);
+        let mut sh = vec![0.0f32; self.n * self.sh_stride];
         for page in &self.list {
             let PageJob { first, count, stride, .. } = page.job;
             let (first, count, stride) = (first as usize, count as usize, stride as usize);
@@ -159,13 +147,10 @@ impl Pages {
             for (plane, from) in planes.iter_mut().zip(read(&page.geometry)?.chunks_exact(stride)) {
                 plane[first..first + count].copy_from_slice(&from[..count]);
             }
-            let both = read(&page.moments)?;
-            let (m, v) = both.split_at(self.sh_stride * stride);
-            for (out, from) in sh.iter_mut().zip([&read(&page.sh)?, m, v]) {
-                let own = out[first * self.sh_stride..].chunks_exact_mut(self.sh_stride).take(count);
-                for (l, gaussian) in own.enumerate() {
-                    gaussian.iter_mut().enumerate().for_each(|(k, to)| *to = from[k * stride + l]);
-                }
+            let from = read(&page.sh)?;
+            let own = sh[first * self.sh_stride..].chunks_exact_mut(self.sh_stride).take(count);
+            for (l, gaussian) in own.enumerate() {
+                gaussian.iter_mut().enumerate().for_each(|(k, to)| *to = from[k * stride + l]);
             }
         }
         let statistics = planes.split_off(STATISTICS);
@@ -173,12 +158,12 @@ impl Pages {
         let mut rest = planes.into_iter();
         let mut next = || -> [Vec<f32>; GEOMETRY] { take(rest.by_ref().take(GEOMETRY).collect()) };
         let (geometry, geometry_m, geometry_v) = (next(), next(), next());
-        let [sh, sh_m, sh_v] = sh;
-        debug_assert_eq!(CLOCK, 3 * GEOMETRY);
+        debug_assert_eq!(COLOUR_MOMENTS, 3 * GEOMETRY);
+        let sh_v = take(rest.by_ref().take(3).collect());
         let steps = rest.next().unwrap_or_default();
         let part = Vec::new();
         let model =
-            Model { len: self.n, sh_degree, geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, part };
+            Model { len: self.n, sh_degree, geometry, geometry_m, geometry_v, sh, sh_v, steps, part };
         Ok((model, Statistics { gradient, visible }))
     }
 
@@ -195,11 +180,6 @@ impl Pages {
             let kept = old.min(sh_stride) as u64 * plane;
             encoder.copy_buffer_to_buffer(&from.geometry, 0, &to.geometry, 0, from.geometry.size());
             encoder.copy_buffer_to_buffer(&from.sh, 0, &to.sh, 0, kept);
-            if self.training {
-                encoder.copy_buffer_to_buffer(&from.moments, 0, &to.moments, 0, kept);
-                let (from_v, to_v) = (old as u64 * plane, sh_stride as u64 * plane);
-                encoder.copy_buffer_to_buffer(&from.moments, from_v, &to.moments, to_v, kept);
-            }
         }
         gpu.queue.submit([encoder.finish()]);
         Ok(Some(new))
@@ -245,8 +225,8 @@ impl Pages {
         let mut next = |k: usize| parts[k].next().ok_or_else(|| gpu.error("a page is missing"));
         self.list.clear();
         for job in jobs {
-            let (moments, geometry, sh) = (next(0)?, next(1)?, next(2)?);
-            self.list.push(Page { uniform: gpu.uniform(job)?, job, geometry, sh, moments });
+            let (sh, geometry) = (next(0)?, next(1)?);
+            self.list.push(Page { uniform: gpu.uniform(job)?, job, geometry, sh });
         }
         self.n = n;
         Ok(true)
@@ -257,7 +237,6 @@ impl Pages {
         let (clear_fresh, clear_all) = match part {
             PagePart::Geometry => (GEOMETRY as u32, STATISTICS as u32),
             PagePart::Sh => (planes, planes),
-            PagePart::Moments => (0, planes),
         };
         GatherJob {
             first: job.first,
@@ -279,7 +258,6 @@ impl Page {
         match part {
             PagePart::Geometry => &self.geometry,
             PagePart::Sh => &self.sh,
-            PagePart::Moments => &self.moments,
         }
     }
 
@@ -287,7 +265,6 @@ impl Page {
         match part {
             PagePart::Geometry => &mut self.geometry,
             PagePart::Sh => &mut self.sh,
-            PagePart::Moments => &mut self.moments,
         }
     }
 }

@@ -13,6 +13,11 @@ use crate::parity::subject::Seen;
 use crate::reference::constants::BETAS;
 use crate::view::{PinholeView, RenderOptions};
 
+/// A second moment beside which that of any gradient is nothing. Source: 2⁸⁰, chosen by hand.
+const VAST: f32 = 1.208_925_8e24;
+/// Step along a gradient beside which a colour is nothing. Source: 2⁴⁰, chosen by hand.
+const LONG: f32 = 1.099_511_6e12;
+
 impl GpuBackend {
     /// What it runs on.
     pub(crate) fn adapter(&self) -> &Adapter {
@@ -88,11 +93,20 @@ impl GpuBackend {
         options: &RenderOptions,
         gradient: &[f32],
     ) -> Result<ModelGradient, SplatError> {
-        self.differentiate(view, options, gradient)?;
+        self.prepare(view, true)?;
+        let (mut model, statistics) = self.download()?;
+        let before = model.sh.clone();
+        // Moments so large that no gradient changes them, past all correction: harmonics take steps
+        // in proportion to their gradients, and so long that what they were counts for nothing.
+        model.sh_v.iter_mut().for_each(|plane| plane.fill(VAST));
+        model.steps.fill(1e6);
+        self.upload(model, statistics)?;
+        let size = (BETAS[1] as f32 * VAST).sqrt();
+        self.differentiate(view, options, gradient, size * LONG)?;
         let (mut model, _) = self.download()?;
         let share = (1.0 - BETAS[0]) as f32;
-        let moments = model.geometry_m.iter_mut().chain([&mut model.sh_m]);
-        moments.flatten().for_each(|m| *m /= share);
-        Ok(ModelGradient { geometry: model.geometry_m, sh: model.sh_m, ..ModelGradient::default() })
+        model.geometry_m.iter_mut().flatten().for_each(|m| *m /= share);
+        let sh = before.iter().zip(&model.sh).map(|(old, new)| (old - new) / LONG).collect();
+        Ok(ModelGradient { geometry: model.geometry_m, sh, ..ModelGradient::default() })
     }
 }

@@ -183,7 +183,7 @@ fn a_model_that_fits_the_limits_is_found_and_one_more_gaussian_does_not_fit() {
 fn no_page_is_larger_than_a_binding() {
     for (largest, sh_stride) in [(128 << 20, 48), (128 << 20, 3), (64 << 10, 48), (2047 << 20, 27)] {
         let room = pages::room(largest, sh_stride, true) as u64;
-        let each = 4 * (2 * sh_stride as u64).max(PLANES as u64);
+        let each = 4 * (sh_stride as u64).max(PLANES as u64);
         assert!(room * each <= largest && (room + 64) * each > largest, "{largest} {sh_stride}: {room}");
     }
 }

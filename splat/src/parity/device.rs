@@ -104,7 +104,7 @@ fn a_model_in_pages_is_drawn_and_trained_as_one_in_a_single_page() {
         (gpu.held()[0], picture, out, gpu.download().unwrap())
     };
     let (one, many) = (run(plain()), run(small()));
-    assert!(one.0 == 1 && many.0 > 4, "{} and {} pages", one.0, many.0);
+    assert!(one.0 == 1 && many.0 > 3, "{} and {} pages", one.0, many.0);
     assert_eq!(one.1, many.1);
     assert_eq!(one.2, many.2);
     assert_eq!(one.3, many.3);
@@ -168,9 +168,8 @@ fn inherited(m: &Model, i: usize) -> Vec<u32> {
 
 /// Moments and clock of a Gaussian.
 fn moments(m: &Model, i: usize) -> Vec<f32> {
-    let k = i * m.sh_stride()..(i + 1) * m.sh_stride();
-    let geometry = m.geometry_m.iter().chain(&m.geometry_v).map(|plane| plane[i]);
-    geometry.chain(m.sh_m[k.clone()].iter().chain(&m.sh_v[k]).copied()).chain([m.steps[i]]).collect()
+    let planes = m.geometry_m.iter().chain(&m.geometry_v).chain(&m.sh_v).chain([&m.steps]);
+    planes.map(|plane| plane[i]).collect()
 }
 
 /// Everything is the same but the centres of halves, which lie 0.4 to 0.6 of the longest axis from

@@ -1,10 +1,18 @@
-//! adam: gradient → step, for one parameter.
+//! adam: gradient → step.
 //!
 //! ```text
 //! m ← β1 m + (1 − β1) g        v ← β2 v + (1 − β2) g²
 //! p ← p − rate · m̂ / (√v̂ + ε)   m̂ = m / (1 − β1ᵗ)   v̂ = v / (1 − β2ᵗ)
 //! ```
-//! Kingma & Ba 2015, algorithm 1. The clock t belongs to a Gaussian and counts only the steps in
+//! Kingma & Ba 2015, algorithm 1. Colours, four fifths of the parameters, have no first moment, and
+//! of second ones a single one by channel, that of the constant harmonic's gradient g₀ (one for
+//! a block of parameters: Zhang et al., Adam-mini, 2025):
+//!
+//! ```text
+//! v ← β2 v + (1 − β2) g₀²
+//! p ← p − rate · g / (√v̂ + ε)
+//! ```
+//! The clock t belongs to a Gaussian and counts only the steps in
 //! which it is composited into a pixel; in the others nothing of it changes, so that unseen
 //! Gaussians do not drift on old momentum.
 
@@ -35,7 +43,7 @@ pub(crate) struct Rates {
 pub(crate) struct Moments {
     /// Decaying mean of the gradient.
     pub(crate) m: Parameters,
-    /// Decaying mean of its square.
+    /// Decaying mean of its square; of colours that of the constant harmonic alone.
     pub(crate) v: Parameters,
     /// \[N\] steps in which the Gaussian was seen.
     pub(crate) clock: Vec<u32>,
@@ -52,8 +60,12 @@ impl Moments {
 pub(crate) fn adam(p: f64, g: f64, m: f64, v: f64, t: u32, rate: f64) -> (f64, f64, f64) {
     let m = BETAS[0] * m + (1.0 - BETAS[0]) * g;
     let v = BETAS[1] * v + (1.0 - BETAS[1]) * g * g;
-    let unbiased = |value: f64, beta: f64| value / (1.0 - beta.powi(t as i32));
-    (p - rate * unbiased(m, BETAS[0]) / (unbiased(v, BETAS[1]).sqrt() + EPSILON), m, v)
+    (p - rate * unbiased(m, BETAS[0], t) / (unbiased(v, BETAS[1], t).sqrt() + EPSILON), m, v)
+}
+
+/// A moment that began at zero `t` steps ago, as if it had not.
+fn unbiased(value: f64, beta: f64, t: u32) -> f64 {
+    value / (1.0 - beta.powi(t as i32))
 }
 
 /// A step of every Gaussian that was composited into a pixel that counts: where all of its gradient
@@ -80,9 +92,12 @@ pub(crate) fn step(p: &mut Parameters, moments: &mut Moments, g: &ReferenceGradi
         one(&mut q.z, dq.z, &mut qm.z, &mut qv.z, rates.rotation);
         let (om, ov) = (&mut m.opacity_logits[i], &mut v.opacity_logits[i]);
         one(&mut p.opacity_logits[i], d.opacity_logits[i], om, ov, rates.opacity);
-        for k in i * stride..(i + 1) * stride {
-            let rate = if k < i * stride + 3 { rates.sh0 } else { rates.sh_rest };
-            one(&mut p.sh[k], d.sh[k], &mut m.sh[k], &mut v.sh[k], rate);
+        for c in i * stride..i * stride + 3 {
+            v.sh[c] = BETAS[1] * v.sh[c] + (1.0 - BETAS[1]) * d.sh[c] * d.sh[c];
+            let size = unbiased(v.sh[c], BETAS[1], t).sqrt() + EPSILON;
+            for k in (c..(i + 1) * stride).step_by(3) {
+                p.sh[k] -= if k == c { rates.sh0 } else { rates.sh_rest } * d.sh[k] / size;
+            }
         }
     }
 }

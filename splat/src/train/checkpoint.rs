@@ -7,14 +7,17 @@
 use super::rules::Rules;
 use super::state::TrainingState;
 use crate::error::SplatError;
-use crate::model::{MAX_SH_DEGREE, Model, padded};
+use crate::model::{GEOMETRY, MAX_SH_DEGREE, Model, padded};
 use crate::statistics::Statistics;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Begins the file. Source: this format, in its third version.
-const MAGIC: &str = "SPLATCK3";
+/// Begins the file. Source: this format, in its fourth version.
+const MAGIC: &str = "SPLATCK4";
+
+/// Which of the arrays holds the harmonics; all others are planes. Source: the order of [`arrays`].
+const HARMONICS: usize = 3 * GEOMETRY + 3;
 
 /// Name of the file in the checkpoint folder.
 pub(crate) const FILE: &str = "training.checkpoint";
@@ -44,18 +47,18 @@ pub(super) struct Checkpoint {
 
 /// All arrays of a checkpoint, in file order.
 fn arrays<'a>(model: &'a Model, statistics: &'a Statistics) -> Vec<&'a [f32]> {
-    let Model { geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, .. } = model;
+    let Model { geometry, geometry_m, geometry_v, sh, sh_v, steps, .. } = model;
     let Statistics { gradient, visible } = statistics;
-    let planes = geometry.iter().chain(geometry_m).chain(geometry_v);
-    planes.chain([sh, sh_m, sh_v, steps, gradient, visible]).map(Vec::as_slice).collect()
+    let planes = geometry.iter().chain(geometry_m).chain(geometry_v).chain(sh_v);
+    planes.chain([sh, steps, gradient, visible]).map(Vec::as_slice).collect()
 }
 
 /// The same, to be filled.
 fn arrays_mut<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&'a mut Vec<f32>> {
-    let Model { geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, .. } = model;
+    let Model { geometry, geometry_m, geometry_v, sh, sh_v, steps, .. } = model;
     let mut all: Vec<&mut Vec<f32>> = Vec::new();
-    all.extend(geometry.iter_mut().chain(geometry_m).chain(geometry_v));
-    all.extend([sh, sh_m, sh_v, steps]);
+    all.extend(geometry.iter_mut().chain(geometry_m).chain(geometry_v).chain(sh_v));
+    all.extend([sh, steps]);
     all.extend([&mut statistics.gradient, &mut statistics.visible]);
     all
 }
@@ -147,7 +150,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let mut statistics = Statistics::default();
     let (planes, sh) = (padded(model.len), model.len * model.sh_stride());
     for (index, array) in arrays_mut(&mut model, &mut statistics).into_iter().enumerate() {
-        let length = if (33..36).contains(&index) { sh } else { planes };
+        let length = if index == HARMONICS { sh } else { planes };
         let (own, next) = rest.split_at_checked(length * 4).ok_or(SHORT)?;
         *array = own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
         rest = next;

@@ -2,10 +2,10 @@
 // step.
 // in: sums [pairs][10] in arrays of four, four and two · spans [N] (first, end) of the Gaussian's
 // pairs · counters
-// in, out, of a page: geometry [36][stride]: 11 planes of parameters, 11 of first and 11 of second
-// moments, the clock, and
+// in, out, of a page: geometry [39][stride]: 11 planes of parameters, 11 of first and 11 of second
+// moments, 3 of the second moments of the colour's channels, the clock, and
 //          two of statistics: sum of |dL/dxy| in half images, steps seen
-//          sh [3K][stride] · sh_moments [2][3K][stride] first and second
+//          sh [3K][stride]
 // Equations and sources: reference/project.rs, reference/adam.rs. The clock counts the steps in
 // which a Gaussian was seen.
 
@@ -13,12 +13,11 @@
 @group(0) @binding(1) var<uniform> page: Page;
 @group(0) @binding(2) var<storage, read_write> geometry: array<f32>;
 @group(0) @binding(3) var<storage, read_write> sh: array<f32>;
-@group(0) @binding(4) var<storage, read_write> sh_moments: array<f32>;
-@group(0) @binding(5) var<storage, read> sums_a: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> sums_b: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> sums_c: array<vec2<f32>>;
-@group(0) @binding(8) var<storage, read> spans: array<vec2<u32>>;
-@group(0) @binding(9) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read> sums_a: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> sums_b: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> sums_c: array<vec2<f32>>;
+@group(0) @binding(7) var<storage, read> spans: array<vec2<u32>>;
+@group(0) @binding(8) var<storage, read_write> counters: array<atomic<u32>>;
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
@@ -27,8 +26,9 @@ const LOG_BETA2: f32 = -0.0010005003;
 const EPSILON: f32 = 1e-15;
 const TINY_MOMENT: f32 = 1e-18;
 const TINY_SQUARE: f32 = 1e-30;
-const CLOCK: u32 = 33u;
-const STATISTICS: u32 = 34u;
+const COLOUR_MOMENTS: u32 = 33u;
+const CLOCK: u32 = 36u;
+const STATISTICS: u32 = 37u;
 
 // 1 / (1 - beta^t), from the logarithm: exact enough where beta^t is close to 1.
 fn unbias(t: f32, log_beta: f32) -> f32 {
@@ -82,6 +82,16 @@ fn adam(value: f32, g: f32, m: f32, v: f32, rate: f32, c1: f32, c2: f32) -> vec3
     return vec3<f32>(value - rate * m1 * c1 / (sqrt(v1 * c2) + EPSILON), m1, v1);
 }
 
+// A channel's second moment after a gradient of its constant harmonic, and what all its steps are
+// divided by.
+fn colour_size(channel: u32, l: u32, g: f32, c2: f32) -> f32 {
+    let at = (COLOUR_MOMENTS + channel) * page.stride + l;
+    let v = BETA2 * geometry[at] + (1.0 - BETA2) * g * g;
+    let kept = select(0.0, v, v >= TINY_SQUARE);
+    geometry[at] = kept;
+    return sqrt(kept * c2) + EPSILON;
+}
+
 fn rate_of(k: u32) -> f32 {
     if (k < 3u) {
         return frame.rate_mean;
@@ -93,7 +103,7 @@ fn rate_of(k: u32) -> f32 {
 }
 
 // Moves the SH; returns dL/dmean through the direction.
-fn colour_step(l: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c1: f32, c2: f32) -> vec3<f32> {
+fn colour_step(l: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c2: f32) -> vec3<f32> {
     let offset = mean - frame.position.xyz;
     let d = direction(offset);
     var basis = sh_basis(d);
@@ -101,16 +111,15 @@ fn colour_step(l: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c1: f32, c2: f32) -> v
     let rgb = sh_colour(l, &basis);
     let open = select(vec3<f32>(0.0), d_rgb, rgb > vec3<f32>(0.0));
     var by_direction = vec3<f32>(0.0);
+    var step = vec3<f32>(0.0);
+    for (var c = 0u; c < 3u; c++) {
+        step[c] = open[c] / colour_size(c, l, basis[0] * open[c], c2);
+    }
     for (var k = 0u; k < frame.sh_used; k++) {
         for (var c = 0u; c < 3u; c++) {
             let at = (3u * k + c) * page.stride + l;
-            let v = at + frame.sh_stride * page.stride;
             by_direction += basis_gradient[k] * (sh[at] * open[c]);
-            let g = basis[k] * open[c];
-            let moved = adam(sh[at], g, sh_moments[at], sh_moments[v], select(frame.rate_sh_rest, frame.rate_sh0, k == 0u), c1, c2);
-            sh[at] = moved.x;
-            sh_moments[at] = moved.y;
-            sh_moments[v] = moved.z;
+            sh[at] -= select(frame.rate_sh_rest, frame.rate_sh0, k == 0u) * basis[k] * step[c];
         }
     }
     let far = length(offset);
@@ -172,7 +181,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     let t = plane(CLOCK, l) + 1.0;
     let c1 = unbias(t, LOG_BETA1);
     let c2 = unbias(t, LOG_BETA2);
-    let by_direction = colour_step(l, vec3<f32>(plane(0u, l), plane(1u, l), plane(2u, l)), vec3<f32>(s[6], s[7], s[8]), c1, c2);
+    let by_direction = colour_step(l, vec3<f32>(plane(0u, l), plane(1u, l), plane(2u, l)), vec3<f32>(s[6], s[7], s[8]), c2);
     for (var k = 0u; k < 3u; k++) {
         g[k] += by_direction[k];
     }

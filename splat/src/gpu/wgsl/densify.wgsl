@@ -40,7 +40,7 @@ struct View {
 @group(0) @binding(7) var<storage, read_write> counters: array<atomic<u32>>;
 @group(0) @binding(8) var<storage, read_write> source: array<u32>;
 
-const STATISTICS: u32 = 34u;
+const STATISTICS: u32 = 37u;
 const UNSEEN: u32 = 2u;   // counter of those removed because hardly any view has them
 
 fn plane(k: u32, l: u32) -> f32 {
