@@ -10,8 +10,9 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 /// Bytes that a Gaussian needs in training, spherical harmonics of degree 3.
-/// Source: docs/benchmarks.md, "How does a training step grow?": 980 to 1,110 from 10,000 on.
-const GAUSSIAN_BYTES: f64 = 1110.0;
+/// Source: docs/benchmarks.md, "How does a training step grow?": 430 to 460 more for each beyond
+/// 10,000.
+const GAUSSIAN_BYTES: f64 = 480.0;
 /// Bytes of a decoded pixel with its mask at full resolution and all coarser ones.
 /// Source: derived; four bytes, and a third more for all halved copies.
 const PIXEL_BYTES: f64 = 4.0 * 4.0 / 3.0;

@@ -34,10 +34,6 @@ pub(crate) const OPACITY: usize = 10;
 /// Geometric parameters: plane p of Gaussian i is `planes[p][i]`.
 pub type Planes = [Vec<f32>; GEOMETRY];
 
-/// Three values of a Gaussian, one for each colour channel: channel c of Gaussian i is
-/// `planes[c][i]`.
-pub type ChannelPlanes = [Vec<f32>; 3];
-
 /// N Gaussians in training. Invariant: every plane has `padded(len)` entries, every SH array `len ·
 /// 3K`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -54,8 +50,9 @@ pub struct Model {
     pub geometry_v: Planes,
     /// [N × K × 3] spherical harmonics, coefficient-major.
     pub sh: Vec<f32>,
-    /// Second moments of the constant harmonic by channel, which size the steps of all harmonics.
-    pub sh_v: ChannelPlanes,
+    /// Second moments of the constant harmonic by channel (plane c is channel c), which size the
+    /// steps of all harmonics.
+    pub sh_v: [Vec<f32>; 3],
     /// Steps in which the Gaussian was visible, that is Adam's clock.
     pub steps: Vec<f32>,
     /// The part of each Gaussian (0: the body), as many as there are Gaussians; none where nothing
@@ -149,7 +146,7 @@ impl Model {
     /// Gives up the moments: no step follows.
     pub(crate) fn forget_moments(&mut self) {
         (self.geometry_m, self.geometry_v) = (Planes::default(), Planes::default());
-        self.sh_v = ChannelPlanes::default();
+        self.sh_v = Default::default();
     }
 
     /// Trades moments and clocks with `other`, of as many Gaussians.

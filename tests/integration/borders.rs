@@ -269,7 +269,7 @@ fn a_training_beyond_the_memory_limit_is_refused_before_the_poses_are_sought() {
     let (video, out) = (sample("sample/orbit.mp4"), dir.join("out"));
     let run = [text(&video), "-o", text(&out), "--frames", "10", "--max-size", "140"];
     let said = expect_code(&[&run[..], &["--memory-limit", "200", "--max-gaussians", "1000000"]].concat(), 1);
-    assert!(said.contains("training will need about 10") && said.contains("--max-gaussians"), "{said}");
+    assert!(said.contains("training will need about 4") && said.contains("--max-gaussians"), "{said}");
     assert!(!out.join("sparse").exists());
     let small = ["--memory-limit", "200", "--max-gaussians", "1000", "--iterations", "10", "--threads", "1"];
     // Ten small frames make a doubtful model.

@@ -2,13 +2,13 @@
 //! in: sums of [`super::rasterise::Backward`] by pair. out: parameters and moments moved one step,
 //! or plain gradients.
 //!
-//! Adam (Kingma and Ba 2015; colours: `reference/adam.rs`) runs on each Gaussian's own clock: a step counts only where the
-//! Gaussian was visible, so that the others keep parameters and moments as they are instead of
-//! drifting on stale momentum.
+//! Adam (Kingma and Ba 2015; colours: `reference/adam.rs`) runs on each Gaussian's own clock: a
+//! step counts only where the Gaussian was visible, so that the others keep parameters and moments
+//! as they are instead of drifting on stale momentum.
 
 use super::dispatch::simd_kernel;
 use super::model_part::{AdamPart, GradientSink, ModelPart, PART};
-use super::project::{CULLED, Projection, colour, cross, next_part, project_lanes};
+use super::project::{CULLED, Projection, colour_of, cross, next_part, project_lanes};
 use super::project_backward::geometry_gradient;
 use super::rasterise::SUMS;
 use super::sh;
@@ -304,7 +304,7 @@ impl ColourStep<'_> {
         let dir = offset.normalize_or_zero();
         let mut basis = [0.0; SH_COUNT];
         sh::basis(dir, degree, &mut basis);
-        let rgb = colour(coefficients, &basis, degree);
+        let rgb = colour_of::<USED>(coefficients, &basis);
         let d_rgb = array!(c in 3 => if rgb[c] > 0.0 { self.d_rgb[c] } else { 0.0 });
         let mut by_basis = [0.0; SH_COUNT];
         for (w, sh) in by_basis[..USED].iter_mut().zip(coefficients.chunks_exact(3)) {
@@ -324,11 +324,13 @@ impl ColourStep<'_> {
             GradientSink::Adam(state) => {
                 let by_channel = self.by_channel(state, array!(c in 3 => basis[0] * d_rgb[c]));
                 let step = array!(c in 3 => d_rgb[c] * by_channel[c]);
-                for (k, sh) in coefficients.chunks_exact_mut(3).enumerate() {
+                let mut steps = [0.0; SH_COUNT * 3];
+                for (k, to) in steps[..USED * 3].chunks_exact_mut(3).enumerate() {
                     let rate = basis[k] * if k == 0 { state.rates.sh0 } else { state.rates.sh_rest };
-                    for (value, step) in sh.iter_mut().zip(step) {
-                        *value -= rate * step;
-                    }
+                    to.copy_from_slice(&array!(c in 3 => rate * step[c]));
+                }
+                for (value, step) in coefficients.iter_mut().zip(steps) {
+                    *value -= step;
                 }
             }
         }

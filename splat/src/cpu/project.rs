@@ -323,14 +323,26 @@ fn project_block<S: Simd>(a: &mut Project, block: usize, geometry: &[S; GEOMETRY
 /// `0.5 + Σ Y_k sh_k`, not limited.
 #[inline(always)]
 pub(crate) fn colour(coefficients: &[f32], basis: &[f32; SH_COUNT], degree: u32) -> [f32; 3] {
-    let mut rgb = [0.5; 3];
-    let used = (degree as usize + 1).pow(2);
-    for (y, sh) in basis[..used].iter().zip(coefficients.chunks_exact(3)) {
-        for (channel, value) in rgb.iter_mut().zip(sh) {
-            *channel += y * value;
+    match degree {
+        0 => colour_of::<1>(coefficients, basis),
+        1 => colour_of::<4>(coefficients, basis),
+        2 => colour_of::<9>(coefficients, basis),
+        _ => colour_of::<SH_COUNT>(coefficients, basis),
+    }
+}
+
+/// The same with `USED` coefficients a channel. Three channels and the next coefficient's first are
+/// a vector of four, whose last sum nobody reads.
+#[inline(always)]
+pub(super) fn colour_of<const USED: usize>(coefficients: &[f32], basis: &[f32; SH_COUNT]) -> [f32; 3] {
+    let sh = &coefficients[..USED * 3];
+    let mut sums = [[0.0; 4]; 2];
+    for k in 0..USED - 1 {
+        for (sum, value) in sums[k % 2].iter_mut().zip(&sh[k * 3..k * 3 + 4]) {
+            *sum += basis[k] * value;
         }
     }
-    rgb
+    array!(c in 3 => 0.5 + sums[0][c] + sums[1][c] + basis[USED - 1] * sh[USED * 3 - 3 + c])
 }
 
 simd_kernel!(

@@ -34,7 +34,8 @@ impl GpuBackend {
             encoder.clear_buffer(&page.geometry, moments, Some(moments));
         }
         self.gpu.queue.submit([encoder.finish()]);
-        // The other rates are zero: no shape moves, and the first moments become (1 − β₁) times the gradient.
+        // The other rates are zero: no shape moves, and
+        // the first moments become (1 − β₁) times the gradient.
         self.run(frame, Stage::Backward..=Stage::Optimise, None)?;
         Ok(())
     }

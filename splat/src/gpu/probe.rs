@@ -13,11 +13,6 @@ use crate::parity::subject::Seen;
 use crate::reference::constants::BETAS;
 use crate::view::{PinholeView, RenderOptions};
 
-/// A second moment beside which that of any gradient is nothing. Source: 2⁸⁰, chosen by hand.
-const VAST: f32 = 1.208_925_8e24;
-/// Step along a gradient beside which a colour is nothing. Source: 2⁴⁰, chosen by hand.
-const LONG: f32 = 1.099_511_6e12;
-
 impl GpuBackend {
     /// What it runs on.
     pub(crate) fn adapter(&self) -> &Adapter {
@@ -98,15 +93,16 @@ impl GpuBackend {
         let before = model.sh.clone();
         // Moments so large that no gradient changes them, past all correction: harmonics take steps
         // in proportion to their gradients, and so long that what they were counts for nothing.
-        model.sh_v.iter_mut().for_each(|plane| plane.fill(VAST));
+        let (vast, long) = (80f32.exp2(), 40f32.exp2());
+        model.sh_v.iter_mut().for_each(|plane| plane.fill(vast));
         model.steps.fill(1e6);
         self.upload(model, statistics)?;
-        let size = (BETAS[1] as f32 * VAST).sqrt();
-        self.differentiate(view, options, gradient, size * LONG)?;
+        let size = (BETAS[1] as f32 * vast).sqrt();
+        self.differentiate(view, options, gradient, size * long)?;
         let (mut model, _) = self.download()?;
         let share = (1.0 - BETAS[0]) as f32;
         model.geometry_m.iter_mut().flatten().for_each(|m| *m /= share);
-        let sh = before.iter().zip(&model.sh).map(|(old, new)| (old - new) / LONG).collect();
+        let sh = before.iter().zip(&model.sh).map(|(old, new)| (old - new) / long).collect();
         Ok(ModelGradient { geometry: model.geometry_m, sh, ..ModelGradient::default() })
     }
 }

@@ -16,9 +16,6 @@ use std::path::{Path, PathBuf};
 /// Begins the file. Source: this format, in its fourth version.
 const MAGIC: &str = "SPLATCK4";
 
-/// Which of the arrays holds the harmonics; all others are planes. Source: the order of [`arrays`].
-const HARMONICS: usize = 3 * GEOMETRY + 3;
-
 /// Name of the file in the checkpoint folder.
 pub(crate) const FILE: &str = "training.checkpoint";
 
@@ -150,7 +147,8 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let mut statistics = Statistics::default();
     let (planes, sh) = (padded(model.len), model.len * model.sh_stride());
     for (index, array) in arrays_mut(&mut model, &mut statistics).into_iter().enumerate() {
-        let length = if index == HARMONICS { sh } else { planes };
+        // In the order of `arrays`: what comes before the harmonics are planes, and what follows.
+        let length = if index == 3 * GEOMETRY + 3 { sh } else { planes };
         let (own, next) = rest.split_at_checked(length * 4).ok_or(SHORT)?;
         *array = own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
         rest = next;
