@@ -162,8 +162,7 @@ impl Pages {
         let sh_v = take(rest.by_ref().take(3).collect());
         let steps = rest.next().unwrap_or_default();
         let part = Vec::new();
-        let model =
-            Model { len: self.n, sh_degree, geometry, geometry_m, geometry_v, sh, sh_v, steps, part };
+        let model = Model { len: self.n, sh_degree, geometry, geometry_m, geometry_v, sh, sh_v, steps, part };
         Ok((model, Statistics { gradient, visible }))
     }
 
