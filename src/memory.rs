@@ -10,8 +10,8 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 /// Bytes that a Gaussian needs in training, spherical harmonics of degree 3.
-/// Source: docs/benchmarks.md, "How does a training step grow?": 430 to 460 more for each beyond
-/// 10,000.
+/// Source: trial runs of `cargo run --release -p splat --example growth`: 430 to 460 more for each
+/// beyond 10,000.
 const GAUSSIAN_BYTES: f64 = 480.0;
 /// Bytes of a decoded pixel with its mask at full resolution and all coarser ones.
 /// Source: derived; four bytes, and a third more for all halved copies.
@@ -30,8 +30,7 @@ pub(crate) fn limit(mib: u64) -> Result<()> {
     restart_without_blas_threads()
 }
 
-/// Under a limit of memory, starts this program anew without OpenBLAS's threads, which we never
-/// use. Each asks for up to 128 MiB when the program is loaded (on a processor with AVX-512),
+/// Under a limit of memory, starts this program anew without OpenBLAS's threads. Each asks for up to 128 MiB when the program is loaded (on a processor with AVX-512),
 /// asks again for ever where the limit refuses, and the program cannot end until it is given them.
 pub fn restart_without_blas_threads() -> Result<()> {
     let (limit, _) = getrlimit(Resource::RLIMIT_DATA).context("cannot read the limit of memory")?;
