@@ -30,8 +30,9 @@ pub(crate) fn limit(mib: u64) -> Result<()> {
     restart_without_blas_threads()
 }
 
-/// Under a limit of memory, starts this program anew without OpenBLAS's threads. Each asks for up to 128 MiB when the program is loaded (on a processor with AVX-512),
-/// asks again for ever where the limit refuses, and the program cannot end until it is given them.
+/// Under a limit of memory, starts this program anew without OpenBLAS's threads. Each asks for up
+/// to 128 MiB when the program is loaded (on a processor with AVX-512), asks again for ever where
+/// the limit refuses, and the program cannot end until it is given them.
 pub fn restart_without_blas_threads() -> Result<()> {
     let (limit, _) = getrlimit(Resource::RLIMIT_DATA).context("cannot read the limit of memory")?;
     if limit == RLIM_INFINITY || std::env::var_os(BLAS_THREADS).is_some() {
