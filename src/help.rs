@@ -19,7 +19,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
 const PIPELINE: [&str; 6] = ["frames", "sfm", "train", "eval", "report", "run"];
 /// Flags of those groups that few will ever need: with the groups that are not named above, they
 /// are shown by `--help-all`.
-const RARE: [&str; 28] = [
+const RARE: [&str; 29] = [
     "fisheye-field",
     "rematch",
     "text",
@@ -48,6 +48,7 @@ const RARE: [&str; 28] = [
     "max-log10-false-alarms",
     "duplicate-levels",
     "vram-limit",
+    "limit-clock",
 ];
 
 /// The command line. `all`: its help hides nothing.
