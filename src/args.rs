@@ -200,14 +200,16 @@ pub struct PipelineArgs {
     pub eval: EvalConfig,
 }
 
-/// Bytes of a Gaussian in a `.sog`, harmonics of degree 3. Source: measured; 24.9 to 25.2 of
-/// 69,000, 39,000 and 23,000 Gaussians of lego400 with their palettes; 15 without harmonics.
-const PACKED_BYTES: f32 = 26.0;
+/// Bytes of a `.sog` beside its Gaussians and of each, harmonics of degree 3. Source: measured; 23
+/// to 28.5 a Gaussian with all of four splats of 14,000 to 26,000, 11 without harmonics.
+const PACKED_BYTES: [f32; 2] = [10_000.0, 30.0];
 
 impl PipelineArgs {
     /// Makes of the size of the splat's file a number of Gaussians.
     pub(crate) fn keep_to_size(&mut self) {
-        let by_size = self.max_size_mb.map_or(usize::MAX, |mb| (mb * 1e6 / PACKED_BYTES) as usize);
+        let by_size = self
+            .max_size_mb
+            .map_or(usize::MAX, |mb| ((mb * 1e6 - PACKED_BYTES[0]) / PACKED_BYTES[1]) as usize);
         self.train.max_gaussians = self.train.max_gaussians.min(by_size.max(1));
     }
 }

@@ -23,7 +23,7 @@ SPLATS = [
     ("input", "{input}"), ("setting", "{setting}"), ("PSNR / SSIM", "{psnr:.2f} / {ssim:.4f}"),
     ("PSNR, 60° held out", "{psnr_sector:.2f}"),
     ("worst view", "{psnr_worst:.2f}"), ("Gaussians", "{gaussians:,}"), ("wall s", "{wall_s:.1f}"),
-    ("CPU s", "{cpu_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
+    ("CPU s", "{cpu_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"), ("`.sog`, kB", "{sog_kb:.0f}"), ("`.spz`, kB", "{spz_kb:.0f}"),
 ]
 # Columns of each table: heading, and the format of a row's fields. A field that is missing prints
 # as –.
@@ -60,6 +60,10 @@ TABLES = {
         *((step, f"{{steps[{step}]:.1f}}") for step in STEPS), ("all, CPU s", "{cpu_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
     ],
     "splats": SPLATS, "times": SPLATS,
+    "packed": [
+        ("input", "{input}"), ("Gaussians", "{gaussians:,}"), ("format", "`.{format}`"), ("kB", "{kb:.0f}"),
+        ("bytes a Gaussian", "{each:.1f}"), ("PSNR", "{psnr:.2f}"), ("lost, dB", "{lost:.2f}"),
+    ],
     "first_picture": [
         ("system", "{system}"), ("packages", "{packages}"), ("install them, s", "{packages_s:.0f}"),
         ("install the wheel, s", "{wheel_s:.0f}"), ("run, s", "{run_s:.0f}"), ("together, s", "{total_s:.0f}"),

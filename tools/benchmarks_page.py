@@ -66,6 +66,9 @@ SECTIONS = [
     ("How good are splats within a given time?",
      HELD_OUT + " What does not fill its limit ended earlier, because each photo had been seen 300 times.",
      ["times"], BENCH + " (`--tables times`)"),
+    ("What do packed splats lose?",
+     "A splat of the preset `draft` is written, read again and rendered at the held-out views; PSNR over whole pictures.",
+     ["packed"], BENCH + " (`--tables packed`)"),
     ("How do the numbers compare with published ones?",
      "The published captures are real and not public, ours of the same cases are simulated, and the published cost is that of a "
      "graphics card: the rows of the paper tell the order of magnitude, not which method is better. Each "

@@ -95,7 +95,7 @@ pub(crate) fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Ver
     }
     for setting in &settings {
         let told: Vec<String> = setting.flags().into_iter().chain(args.flags.iter().cloned()).collect();
-        let print = fingerprint(&("bench", 2, PROGRAM, &told, describe_input(&args.input)?))?;
+        let print = fingerprint(&("bench", 3, PROGRAM, &told, describe_input(&args.input)?))?;
         let stage = format!("bench-{}", setting.name().replace(' ', ""));
         let stage = StageSpec { name: &stage, fingerprint: &print, owns: &[] };
         let Done { finished, ran, .. } =
@@ -141,7 +141,20 @@ fn measure(
     if outcome == Outcome::NoModel {
         bail!("no poses were found, so that there is nothing to train on");
     }
-    point(setting, &record)
+    let (mut point, protocol) = point(setting, &record)?;
+    let splat = scene::io::read_splat(&stages.out().join("splat.ply"))?;
+    point.sog_bytes = packed(&splat, stages.out(), "sog");
+    point.spz_bytes = packed(&splat, stages.out(), "spz");
+    Ok((point, protocol))
+}
+
+/// The size of a splat in a format; none where the format cannot hold it.
+fn packed(splat: &scene::Gaussians, folder: &Path, extension: &str) -> Option<u64> {
+    let file = folder.join(format!("bench.{extension}"));
+    scene::io::write_splat(&file, splat).ok()?;
+    let bytes = std::fs::metadata(&file).ok().map(|m| m.len());
+    let _ = std::fs::remove_file(file);
+    bytes
 }
 
 fn utf8(path: &Path) -> Result<String> {
@@ -164,6 +177,8 @@ fn point(setting: &str, record: &RunRecord) -> Result<(Point, String)> {
         wall_s: cost.map(|c| c.wall_s),
         cpu_s: cost.map(|c| c.cpu_s),
         gaussians: Some(splat.gaussians),
+        sog_bytes: None,
+        spz_bytes: None,
         peak_mib: cost.map(|c| c.peak_mib).filter(|&mib| mib > 0.0),
         psnr: mean.psnr,
         psnr_worst: Some(worst),

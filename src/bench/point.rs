@@ -18,6 +18,12 @@ pub(crate) struct Point {
     /// Gaussians at the end.
     #[serde(default)]
     pub gaussians: Option<usize>,
+    /// Size of the splat as `.sog`, bytes.
+    #[serde(default)]
+    pub sog_bytes: Option<u64>,
+    /// Size of the splat as `.spz`, bytes; not where the format cannot hold the scene's scale.
+    #[serde(default)]
+    pub spz_bytes: Option<u64>,
     /// Peak resident memory of training, MiB.
     #[serde(default)]
     pub peak_mib: Option<f64>,

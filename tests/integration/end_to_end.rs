@@ -293,3 +293,19 @@ fn refined_poses_are_written_beside_the_model_and_go_with_the_training_that_made
     assert!(!out.join("refined").exists() && out.join("splat.ply").is_file());
     std::fs::remove_dir_all(dir).unwrap();
 }
+
+#[test]
+fn a_splat_has_as_many_gaussians_as_its_packed_file_may_hold() {
+    let dir = folder("max_size");
+    let (input, out) = (sample("sample/orbit.mp4"), dir.join("out"));
+    let packed = |more: &[&str]| {
+        let flags = ["--max-size", "240", "--frames", "20", "--iterations", "500"];
+        expect_code(&[&["train", text(&input), "-o", text(&out)], &flags[..], more].concat(), 0);
+        let file = dir.join("splat.sog");
+        expect_code(&["export", text(&out), "-o", text(&file)], 0);
+        std::fs::metadata(&file).unwrap().len()
+    };
+    let (free, kept) = (packed(&[]), packed(&["--max-size-mb", "0.05"]));
+    assert!((30_000..=50_000).contains(&kept) && free > 60_000, "{free} {kept}");
+    std::fs::remove_dir_all(dir).unwrap();
+}

@@ -9,6 +9,7 @@ mod glb;
 mod item;
 mod ksplat;
 mod plain;
+mod ready;
 mod sog;
 mod spz;
 
