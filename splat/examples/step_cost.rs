@@ -95,9 +95,9 @@ const SORT_BYTES: f64 = 3.0 * 12.0;
 const BIN_BYTES: f64 = 16.0;
 /// Bytes of a Gaussian that project reads (geometry, colour) and writes (a record and a key).
 const PROJECT_BYTES: f64 = 4.0 * (11.0 + 48.0) + 68.0;
-/// Bytes of a visible Gaussian that optimise reads and writes: parameters, two moments, clock,
-/// statistics.
-const OPTIMISE_BYTES: f64 = 2.0 * 4.0 * (3.0 * (11.0 + 48.0) + 3.0);
+/// Bytes of a visible Gaussian that optimise reads and writes: parameters, two moments of all but
+/// the colours, one of each channel's, clock, statistics.
+const OPTIMISE_BYTES: f64 = 2.0 * 4.0 * (3.0 * 11.0 + 48.0 + 3.0 + 3.0);
 /// Bytes of a pair that backward writes and optimise reads.
 const SUM_BYTES: f64 = 40.0;
 

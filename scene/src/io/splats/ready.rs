@@ -45,12 +45,12 @@ fn namings() -> Vec<(Quat, [usize; 3])> {
 
 /// The description of an ellipsoid with the least angle of rotation, w ≥ 0.
 fn least(rotation: Quat, log_scale: Vec3, names: &[(Quat, [usize; 3])]) -> (Quat, Vec3) {
-    let of = |(naming, order): &(Quat, [usize; 3])| {
-        let rotation = rotation * *naming;
-        let rotation = if rotation.w < 0.0 { -rotation } else { rotation };
-        (rotation, Vec3::from(order.map(|axis| log_scale[axis])))
-    };
-    names.iter().map(of).max_by(|a, b| a.0.w.total_cmp(&b.0.w)).unwrap_or((rotation, log_scale))
+    let turned = names.iter().map(|(naming, order)| (rotation * *naming, order));
+    let best = turned.max_by(|a, b| a.0.w.abs().total_cmp(&b.0.w.abs()));
+    best.map_or((rotation, log_scale), |(rotation, order)| {
+        let upright = if rotation.w < 0.0 { -rotation } else { rotation };
+        (upright, Vec3::from(order.map(|axis| log_scale[axis])))
+    })
 }
 
 /// How far the coordinates of a Gaussian's centre may be off.
@@ -59,7 +59,8 @@ pub(super) fn slack(log_scale: Vec3) -> f32 {
     SLACK * a.max(b).min(a.min(b).max(c)).exp()
 }
 
-/// The multiple of a power of two, not above 2 `slack` and from 1 to 65,536, that is next to `value`.
+/// The multiple of a power of two, not above 2 `slack` and from 1 to 65,536, that is next to
+/// `value`.
 pub(super) fn rounded(value: f32, slack: f32) -> f32 {
     let step = (2.0 * slack).clamp(1.0, 65_536.0).log2().floor().exp2();
     (value / step).round() * step

@@ -233,8 +233,8 @@ fn encode(g: &Gaussians, bits: u32) -> Vec<u8> {
     }
     g.rotations.iter().for_each(|&q| out.extend_from_slice(&pack_rotation(q).to_le_bytes()));
     for sh in g.sh.chunks_exact(k * 3) {
-        let byte = |v: &f32| ((v * 128.0 / SH_STEP).round() * SH_STEP + 128.0).clamp(0.0, 255.0) as u8;
-        out.extend(sh[3..].iter().map(byte));
+        let steps = sh[3..].iter().map(|v| (v * 128.0 / SH_STEP).round() * SH_STEP);
+        out.extend(steps.map(|v| (v + 128.0).clamp(0.0, 255.0) as u8));
     }
     out
 }

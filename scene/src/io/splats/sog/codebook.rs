@@ -14,24 +14,39 @@ pub(super) fn of_numbers(values: &[f32], step: f32) -> Vec<f32> {
     sorted.sort_unstable_by(f32::total_cmp);
     let n = sorted.len();
     let [low, median, high] = [0, n / 2, n - 1].map(|i| f64::from(sorted[i]));
-    let [low, high] = [low - median, high - median].map(|v| v / f64::from(step));
-    // Entries lie at whole numbers of u(x) = asinh(bend x) / bend.
-    let number = |x: f64, bend: f64| if bend > 0.0 { (bend * x).asinh() / bend } else { x };
-    let reaches = |bend: f64| number(high, bend) - number(low, bend) <= (BOOK - 1) as f64;
+    let step = f64::from(step);
+    let [low, high] = [low, high].map(|v| (v - median) / step);
+    let bend = least_bend(low, high);
+    let first = place(low, bend);
+    (0..BOOK).map(|i| (median + step * value(first + i as f64, bend)) as f32).collect()
+}
+
+/// Where a value lies, in entries from the median; both in steps: asinh(bend x) / bend.
+fn place(x: f64, bend: f64) -> f64 {
+    if bend > 0.0 { (bend * x).asinh() / bend } else { x }
+}
+
+/// The inverse of [`place`].
+fn value(u: f64, bend: f64) -> f64 {
+    if bend > 0.0 { (bend * u).sinh() / bend } else { u }
+}
+
+/// The least bend with which the entries reach from `low` to `high`, by bisection.
+fn least_bend(low: f64, high: f64) -> f64 {
+    let entries = (BOOK - 1) as f64;
     let (mut less, mut bend) = (0.0_f64, 0.0_f64);
-    if !reaches(0.0) {
-        bend = 1e-6;
-        while !reaches(bend) {
-            (less, bend) = (bend, 2.0 * bend);
-        }
-        for _ in 0..f64::MANTISSA_DIGITS {
-            let mid = less.midpoint(bend);
-            *(if reaches(mid) { &mut bend } else { &mut less }) = mid;
+    while place(high, bend) - place(low, bend) > entries {
+        (less, bend) = (bend, (2.0 * bend).max(1e-6));
+    }
+    for _ in 0..f64::MANTISSA_DIGITS {
+        let mid = less.midpoint(bend);
+        if place(high, mid) - place(low, mid) > entries {
+            less = mid;
+        } else {
+            bend = mid;
         }
     }
-    let value = |u: f64| if bend > 0.0 { (bend * u).sinh() / bend } else { u };
-    let first = number(low, bend);
-    (0..BOOK).map(|i| (median + f64::from(step) * value(first + i as f64)) as f32).collect()
+    bend
 }
 
 /// The number of the nearest entry of an ascending codebook.

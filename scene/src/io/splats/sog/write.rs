@@ -17,10 +17,6 @@ use zip::{CompressionMethod, ZipWriter};
 /// Steps of log scales, colours and harmonics: entries of a codebook are so far apart where values
 /// are common. Source: chosen on two splats, fox and temple_ring: 0.1 dB for all three there.
 const STEPS: [f32; 3] = [0.05, 0.04, 0.03];
-/// Most entries of the palette. Source: the format, 16 bits.
-const PALETTE: usize = 1 << 16;
-/// Steps between the least and the greatest coordinate. Source: the format, 16 bits.
-const STEPS_OF_MEANS: f32 = 65_535.0;
 
 /// Writes a `.sog` file.
 pub fn write_sog(path: &Path, g: &Gaussians) -> Result<(), IoError> {
@@ -68,19 +64,17 @@ impl SogWriter {
         let logs: Vec<Vec3> = g.means.iter().map(|m| m.signum() * m.abs().map(f32::ln_1p)).collect();
         let low = logs.iter().fold(Vec3::INFINITY, |a, v| a.min(*v));
         let high = logs.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(*v));
-        let steps = Vec3::splat(STEPS_OF_MEANS) / (high - low).max(Vec3::splat(f32::MIN_POSITIVE));
+        let last = f32::from(u16::MAX);
+        let steps = Vec3::splat(last) / (high - low).max(Vec3::splat(f32::MIN_POSITIVE));
         let step_of = |i: usize, k: usize| {
             let slack = slack(g.log_scales[i]) / (1.0 + g.means[i][k].abs()) * steps[k];
-            rounded((logs[i][k] - low[k]) * steps[k], slack).min(STEPS_OF_MEANS) as u16
+            rounded((logs[i][k] - low[k]) * steps[k], slack).min(last) as u16
         };
         let codes: Vec<[u16; 3]> = (0..g.len()).map(|i| [0, 1, 2].map(|k| step_of(i, k))).collect();
         let names = ["means_l.webp", "means_u.webp"];
         for (byte, name) in names.into_iter().enumerate() {
-            let pixel = |code: &[u16; 3]| {
-                let [x, y, z] = code.map(|c| c.to_le_bytes()[byte]);
-                [x, y, z, 255]
-            };
-            self.add(name, codes.iter().map(pixel));
+            let bytes = codes.iter().map(|code| code.map(|c| c.to_le_bytes()[byte]));
+            self.add(name, bytes.map(|[x, y, z]| [x, y, z, 255]));
         }
         MeansMeta { mins: low.to_array(), maxs: high.to_array(), files: names.map(str::to_owned) }
     }
@@ -117,7 +111,7 @@ impl SogWriter {
 
     /// `width`: numbers a Gaussian, coefficient-major.
     fn harmonics(&mut self, values: &[f32], width: usize, bands: u32) -> HarmonicsMeta {
-        let (palette, labels) = codebook::of_vectors(values, width, PALETTE);
+        let (palette, labels) = codebook::of_vectors(values, width, usize::from(u16::MAX) + 1);
         let book = codebook::of_numbers(&palette, STEPS[2]);
         let (entries, coefficients) = (palette.len() / width, width / 3);
         let (columns, rows) = (PALETTE_ROW * coefficients, entries.div_ceil(PALETTE_ROW));
@@ -149,12 +143,11 @@ impl SogWriter {
 /// A lossless WebP that keeps the colours of transparent pixels too. An encoder that searches is
 /// worth a seventh of the file.
 fn lossless(rgba: &[u8], width: u32, height: u32) -> io::Result<Vec<u8>> {
-    let broken = |e: &dyn std::fmt::Debug| io::Error::other(format!("WebP: {e:?}"));
-    let mut config = webp::WebPConfig::new().map_err(|()| broken(&"no configuration"))?;
+    let mut config = webp::WebPConfig::new().map_err(|()| io::Error::other("WebP: no encoder"))?;
     config.lossless = 1;
     config.exact = 1;
     config.quality = 100.0;
     config.method = 6;
     let webp = webp::Encoder::from_rgba(rgba, width, height).encode_advanced(&config);
-    Ok(webp.map_err(|e| broken(&e))?.to_vec())
+    Ok(webp.map_err(|e| io::Error::other(format!("WebP: {e:?}")))?.to_vec())
 }
