@@ -126,8 +126,8 @@ same-bytes: build  ## results of this program against those recorded for BASE (a
 EXAMPLES := ring_growth key_table features_table ablation step_cost growth
 bench: build  ## all benchmarks on real data, and docs/benchmarks.md from their results (hours)
 	cargo build --release --locked --workspace $(EXAMPLES:%=--example %)
-	@tools/setup.sh python3 colmap
-	python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench --plot docs/speed_accuracy.svg
+	@tools/setup.sh python3-numpy python3-pil colmap
+	$(PYTHON_NUMPY) tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench --plot docs/speed_accuracy.svg
 	@$(MAKE) benchmarks-page
 
 # LIMIT: the same wall time for each training, for instance LIMIT=5m (default: the steps of the preset).

@@ -20,6 +20,7 @@ import time
 
 import bench_sfm
 import bench_splats
+import bench_whole
 import turntable
 from bench_results import Results
 
@@ -51,7 +52,7 @@ TURNS = [
 ORBITS = [("orbit, 10 % light (case 1)", os.path.join(RENDERED, "case1")), ("orbit, 100 % light (case 2)", os.path.join(RENDERED, "case2"))]
 
 TABLES = ["poses", "variants", "dino", "steps", "orbits", "turns", "quality", "rings", "key", "features",
-          "splats", "times", "packed", "shapes", "ablation", "step", "growth"]
+          "splats", "times", "packed", "whole", "shapes", "ablation", "step", "growth"]
 
 def measured(command, **options):
     """Runs a command; returns exit code, wall seconds, CPU seconds and peak MiB of its
@@ -313,6 +314,7 @@ def main():
         "rings": lambda t: bench_sfm.bench_growth(here, os.path.join(examples, "ring_growth"), args.rings, t),
         "splats": lambda t: bench_splats.bench_presets(here, binary, shared, out, only, args.quality, t),
         "times": lambda t: bench_splats.bench_times(here, binary, shared, out, only, args.times, t),
+        "whole": lambda t: bench_whole.bench_whole(here, binary, shared, out, args.quality, os.path.join(os.path.dirname(plot), "whole.svg"), t),
         "packed": lambda t: bench_splats.bench_packed(here, binary, shared, out, only, t),
         "shapes": lambda t: bench_splats.bench_shapes(here, binary, out, t),
     }

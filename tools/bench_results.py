@@ -60,6 +60,10 @@ TABLES = {
         *((step, f"{{steps[{step}]:.1f}}") for step in STEPS), ("all, CPU s", "{cpu_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
     ],
     "splats": SPLATS, "times": SPLATS,
+    "whole": [
+        ("input", "{input}"), ("preset", "{setting}"), ("PSNR", "{psnr:.2f}"), ("rotation median", "{rotation_median_deg:.3f}°"),
+        ("Gaussians", "{gaussians:,}"), ("wall s", "{wall_s:.0f}"), ("CPU s", "{cpu_s:.0f}"), ("peak MiB", "{peak_mib:.0f}"),
+    ],
     "packed": [
         ("input", "{input}"), ("Gaussians", "{gaussians:,}"), ("format", "`.{format}`"), ("kB", "{kb:.0f}"),
         ("bytes a Gaussian", "{each:.1f}"), ("PSNR", "{psnr:.2f}"), ("lost, dB", "{lost:.2f}"),

@@ -66,6 +66,9 @@ SECTIONS = [
     ("How good are splats within a given time?",
      HELD_OUT + " What does not fill its limit ended earlier, because each photo had been seen 300 times.",
      ["times"], BENCH + " (`--tables times`)"),
+    ("What does the whole program cost, by preset?",
+     "From the file to the splat and its evaluation, poses that came with the input ignored.\n\n"
+     "![The whole program: speed against accuracy](whole.svg)", ["whole"], BENCH + " (`--tables whole`)"),
     ("What do packed splats lose?",
      "A splat of the preset `draft` is written, read again and rendered at the held-out views; PSNR over whole pictures.",
      ["packed"], BENCH + " (`--tables packed`)"),

@@ -65,14 +65,24 @@ fn main() -> Result<()> {
         machine.multiply_adds / 1e9,
         machine.bytes / 1e9
     );
+    let (w, h) = (cli.width, cli.height);
+    let mut limits = Vec::new();
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        pool.install(|| steps(&cli, &dataset, &normalised, threads, &machine))?;
+        let cost = pool.install(|| steps(&cli, &dataset, &normalised))?;
+        if threads == 1 {
+            let (n, visible, pairs) = (normalised.len, cost.visible, cost.pairs);
+            println!(
+                "\n| {n} Gaussians ({visible:.0} visible, {pairs:.0} pairs), CPU ms | project | sort, bin | forward | loss | backward | optimise | step | frame {w} × {h} |"
+            );
+            println!("|---|---|---|---|---|---|---|---|---|");
+            limits = cost.limits(normalised.len, &machine);
+        }
+        let stages = cost.stages.map(|ms| format!("{ms:.2}")).join(" | ");
+        let frame = pool.install(|| frames(&cli, &dataset, &result.gaussians))?;
+        println!("| {threads} threads | {stages} | {:.1} | {frame} |", cost.stages.iter().sum::<f64>());
     }
-    for threads in [1, 2] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        pool.install(|| frames(&cli, &dataset, &result.gaussians, threads))?;
-    }
+    println!("| share of the limit, 1 thread | {} | | |", limits.join(" | "));
     Ok(())
 }
 
@@ -101,7 +111,50 @@ const OPTIMISE_BYTES: f64 = 2.0 * 4.0 * (3.0 * 11.0 + 48.0 + 3.0 + 3.0);
 /// Bytes of a pair that backward writes and optimise reads.
 const SUM_BYTES: f64 = 40.0;
 
-fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &CoreLimits) -> Result<()> {
+/// What a step costs, means over the steps.
+struct Cost {
+    /// CPU ms of each stage.
+    stages: [f64; 6],
+    pairs: f64,
+    visible: f64,
+    /// Gaussians times pixels that were evaluated.
+    touched: f64,
+    pixels: f64,
+}
+
+impl Cost {
+    /// The share of each stage's time that its arithmetic, or its bytes, would take alone.
+    fn limits(&self, gaussians: usize, machine: &CoreLimits) -> Vec<String> {
+        let arithmetic = [
+            FORWARD_OPERATIONS * self.touched,
+            LOSS_OPERATIONS * self.pixels,
+            BACKWARD_OPERATIONS * self.touched,
+        ]
+        .map(|operations| 1e5 * operations / machine.multiply_adds);
+        let bytes = [
+            PROJECT_BYTES * gaussians as f64,
+            SORT_BYTES * self.visible + BIN_BYTES * self.pairs,
+            LOSS_BYTES * self.pixels,
+            OPTIMISE_BYTES * self.visible + SUM_BYTES * self.pairs,
+        ]
+        .map(|bytes| 1e5 * bytes / machine.bytes);
+        let [project, sort, forward, loss, backward, optimise] = self.stages;
+        vec![
+            format!("{:.0} % of the bandwidth", bytes[0] / project),
+            format!("{:.0} % of the bandwidth", bytes[1] / sort),
+            format!("{:.0} % of the arithmetic", arithmetic[0] / forward),
+            format!(
+                "{:.0} % of the arithmetic, {:.0} % of the bandwidth",
+                arithmetic[1] / loss,
+                bytes[2] / loss
+            ),
+            format!("{:.0} % of the arithmetic", arithmetic[2] / backward),
+            format!("{:.0} % of the bandwidth", bytes[3] / optimise),
+        ]
+    }
+}
+
+fn steps(cli: &Cli, dataset: &Dataset, model: &Model) -> Result<Cost> {
     let mut backend = ProfiledProcessor::new(model.clone(), cpu_seconds)?;
     let views: Vec<usize> = (0..dataset.views.len()).filter(|&v| !dataset.views[v].held_out).collect();
     let (mut pairs, mut visible, mut touched, mut pixels_seen) = (0, 0, 0, 0);
@@ -132,44 +185,17 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &
         }
     }
     let n = cli.steps as f64;
-    let m = difference(&backend.times(), &start).map(|seconds| seconds * 1e3 / n);
-    println!(
-        "step, {threads} threads: {:.1} CPU ms (project {:.2} sort {:.2} forward {:.2} loss {:.2} backward {:.2} optimise {:.2}), {} pairs, {} visible",
-        m.iter().sum::<f64>(),
-        m[0],
-        m[1],
-        m[2],
-        m[3],
-        m[4],
-        m[5],
-        pairs / cli.steps,
-        visible / cli.steps
-    );
-    let (touched, pairs, visible) = (touched as f64 / n, pairs as f64 / n, visible as f64 / n);
-    let arithmetic = |operations: f64| 1e3 * operations * touched / machine.multiply_adds;
-    let traffic = |bytes: f64| 1e3 * bytes / machine.bytes;
-    println!(
-        "    limits: {touched:.0} gaussian-pixels; forward {:.3} ns each (arithmetic {:.3}: {:.0} %), backward {:.3} ns (arithmetic {:.3}: {:.0} %)",
-        1e6 * m[2] / touched,
-        1e9 * FORWARD_OPERATIONS / machine.multiply_adds,
-        100.0 * arithmetic(FORWARD_OPERATIONS) / m[2],
-        1e6 * m[4] / touched,
-        1e9 * BACKWARD_OPERATIONS / machine.multiply_adds,
-        100.0 * arithmetic(BACKWARD_OPERATIONS) / m[4]
-    );
-    println!(
-        "    loss {:.0} % of the arithmetic; bandwidth: project {:.0} %, sort {:.0} %, loss {:.0} %, backward {:.0} %, optimise {:.0} %",
-        1e5 * LOSS_OPERATIONS * pixels_seen as f64 / n / machine.multiply_adds / m[3],
-        100.0 * traffic(PROJECT_BYTES * model.len as f64) / m[0],
-        100.0 * traffic(SORT_BYTES * visible + BIN_BYTES * pairs) / m[1],
-        100.0 * traffic(LOSS_BYTES * pixels_seen as f64 / n) / m[3],
-        100.0 * traffic(SUM_BYTES * pairs) / m[4],
-        100.0 * traffic(OPTIMISE_BYTES * visible + SUM_BYTES * pairs) / m[5]
-    );
-    Ok(())
+    Ok(Cost {
+        stages: difference(&backend.times(), &start).map(|seconds| seconds * 1e3 / n),
+        pairs: pairs as f64 / n,
+        visible: visible as f64 / n,
+        touched: touched as f64 / n,
+        pixels: pixels_seen as f64 / n,
+    })
 }
 
-fn frames(cli: &Cli, dataset: &Dataset, gaussians: &scene::Gaussians, threads: usize) -> Result<()> {
+/// CPU ms of a frame, and frames a second.
+fn frames(cli: &Cli, dataset: &Dataset, gaussians: &scene::Gaussians) -> Result<String> {
     let mut renderer = Renderer::new(gaussians)?;
     let (mut walls, mut cpu) = (Vec::new(), 0.0);
     for k in 0..cli.steps + 3 {
@@ -189,15 +215,7 @@ fn frames(cli: &Cli, dataset: &Dataset, gaussians: &scene::Gaussians, threads: u
         }
     }
     let cpu = 1e3 * (cpu_seconds() - cpu) / cli.steps as f64;
-    let wall = median(walls);
-    println!(
-        "frame {} x {}, {threads} threads: {cpu:.1} CPU ms, {:.1} ms wall, {:.0} frames a second",
-        cli.width,
-        cli.height,
-        1e3 * wall,
-        1.0 / wall
-    );
-    Ok(())
+    Ok(format!("{cpu:.1} ({:.0} a second)", 1.0 / median(walls)))
 }
 
 fn difference(now: &KernelTimes, then: &KernelTimes) -> [f64; 6] {
