@@ -80,9 +80,9 @@ class Panel:
 
 def draw(rows, others, path):
     """An SVG of two panels."""
-    pictures, poses = Panel(50, "PSNR of held-out views, dB", 26, 42, False), Panel(450, "median rotation error, degrees", 0.01, 2, True)
-    parts = ['<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 830 420" font-family="sans-serif" font-size="11">',
-             '<rect width="830" height="420" fill="white"/>', *pictures.axes(range(26, 43, 4)), *poses.axes((0.01, 0.03, 0.1, 0.3, 1))]
+    pictures, poses = Panel(50, "PSNR of held-out views, dB", 26, 42, False), Panel(490, "median rotation error, degrees", 0.01, 2, True)
+    parts = ['<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 890 420" font-family="sans-serif" font-size="11">',
+             '<rect width="890" height="420" fill="white"/>', *pictures.axes(range(26, 43, 4)), *poses.axes((0.01, 0.03, 0.1, 0.3, 1))]
     for (name, _, _), colour, x in zip(CAPTURES, COLOURS, (50, 200, 290)):
         own = [row for row in rows if row["input"] == name]
         parts += pictures.line([(r["setting"], r["cpu_s"], r["psnr"]) for r in own], colour)
