@@ -65,7 +65,7 @@ TABLES = {
         ("Gaussians", "{gaussians:,}"), ("wall s", "{wall_s:.0f}"), ("CPU s", "{cpu_s:.0f}"), ("peak MiB", "{peak_mib:.0f}"),
     ],
     "packed": [
-        ("input", "{input}"), ("Gaussians", "{gaussians:,}"), ("format", "`.{format}`"), ("kB", "{kb:.0f}"),
+        ("input", "{input}"), ("format", "`.{format}`"), ("Gaussians", "{gaussians:,}"), ("kB", "{kb:.0f}"),
         ("bytes a Gaussian", "{each:.1f}"), ("PSNR", "{psnr:.2f}"), ("lost, dB", "{lost:.2f}"),
     ],
     "first_picture": [
