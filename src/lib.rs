@@ -76,8 +76,6 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
                 let name = format!("{:?}", args.quality).to_lowercase();
                 terminal::say(&format!("--quality {name} sets {}", parsed.preset.join(" ")));
             }
-            let mut args = args;
-            args.keep_to_size();
             let pipeline = pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?;
             pipeline.limited(global.memory_limit).run(until)
         }

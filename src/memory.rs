@@ -10,8 +10,8 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 /// Bytes that a Gaussian needs in training, spherical harmonics of degree 3.
-/// Source: trial runs of `cargo run --release -p splat --example growth`: 430 to 460 more for each
-/// beyond 10,000.
+/// Source: docs/benchmarks.md, "How does a training step grow?": 450 more for each of a million
+/// beyond 10,000, 580 of three million.
 const GAUSSIAN_BYTES: f64 = 480.0;
 /// Bytes of a decoded pixel with its mask at full resolution and all coarser ones.
 /// Source: derived; four bytes, and a third more for all halved copies.

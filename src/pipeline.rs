@@ -91,6 +91,7 @@ impl Pipeline {
         verbosity: Verbosity,
         json: bool,
     ) -> Result<Self> {
+        args.keep_to_size();
         let input = Input::detect(&args.input, args.ignore_poses)?;
         let out = stages.out().to_path_buf();
         if let Some(folder) = &args.camera_from {

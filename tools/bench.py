@@ -72,10 +72,6 @@ def run_json(command):
 
 
 def pose_errors(binary, model, truth):
-    return run_json([binary, "compare", model, "--truth", truth, "--json"])[0]
-
-
-def pose_errors(binary, model, truth):
     """Errors of a model as fields of a row."""
     record = run_json([binary, "compare", model, "--truth", truth, "--json"])[0]
     record |= {f"auc_{degrees}": value for degrees, value in (record.pop("auc", None) or {}).items()}

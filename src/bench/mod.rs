@@ -142,9 +142,11 @@ fn measure(
         bail!("no poses were found, so that there is nothing to train on");
     }
     let (mut point, protocol) = point(setting, &record)?;
-    let splat = scene::io::read_splat(&stages.out().join("splat.ply"))?;
-    point.sog_bytes = packed(&splat, stages.out(), "sog");
-    point.spz_bytes = packed(&splat, stages.out(), "spz");
+    // Radiance fields have none.
+    if let Ok(splat) = scene::io::read_splat(&stages.out().join("splat.ply")) {
+        point.sog_bytes = packed(&splat, stages.out(), "sog");
+        point.spz_bytes = packed(&splat, stages.out(), "spz");
+    }
     Ok((point, protocol))
 }
 

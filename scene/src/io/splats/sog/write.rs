@@ -15,7 +15,8 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 /// Steps of log scales, colours and harmonics: entries of a codebook are so far apart where values
-/// are common. Source: chosen on two splats, fox and temple_ring: 0.1 dB for all three there.
+/// are common. Source: chosen in trials on two splats, fox and temple_ring, which lost
+/// 0.08 dB by all three.
 const STEPS: [f32; 3] = [0.05, 0.04, 0.03];
 
 /// Writes a `.sog` file.
