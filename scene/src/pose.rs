@@ -49,17 +49,20 @@ impl Pose {
     }
 
     /// The point in the target frame.
+    #[inline]
     pub fn transform(&self, x: DVec3) -> DVec3 {
         self.rotation * x + self.translation
     }
 
     /// `source_from_target`.
+    #[inline]
     pub fn inverse(&self) -> Self {
         let inverse = self.rotation.conjugate();
         Self { rotation: inverse, translation: -(inverse * self.translation) }
     }
 
     /// `self ∘ other`: `c_from_a = c_from_b.compose(&b_from_a)`.
+    #[inline]
     pub fn compose(&self, other: &Self) -> Self {
         Self {
             rotation: (self.rotation * other.rotation).normalize(),

@@ -2,7 +2,7 @@
 
 use super::{Estimator, RansacConfig, RansacResult, ransac};
 use crate::solvers::{AbsoluteRefinement, p3p, refine_absolute};
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use scene::{Camera, Pose};
 
 /// Finds the pose of a calibrated camera. The threshold is in pixels, the residual the reprojection
@@ -24,8 +24,21 @@ impl AbsolutePoseEstimator {
     }
 }
 
+/// A pose and its rotation as a matrix, which is quicker to apply.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AbsoluteModel {
+    pose: Pose,
+    rotation: DMat3,
+}
+
+impl From<Pose> for AbsoluteModel {
+    fn from(pose: Pose) -> Self {
+        Self { pose, rotation: DMat3::from_quat(pose.rotation) }
+    }
+}
+
 impl Estimator for AbsolutePoseEstimator {
-    type Model = Pose;
+    type Model = AbsoluteModel;
 
     fn sample_size(&self) -> usize {
         3
@@ -35,14 +48,15 @@ impl Estimator for AbsolutePoseEstimator {
         self.pixels.len().min(self.points.len())
     }
 
-    fn solve(&self, sample: &[usize], models: &mut Vec<Pose>) {
+    fn solve(&self, sample: &[usize], models: &mut Vec<AbsoluteModel>) {
         let Ok(sample) = <[usize; 3]>::try_from(sample) else { return };
-        models.extend(p3p(&sample.map(|i| self.rays[i]), &sample.map(|i| self.points[i])));
+        let poses = p3p(&sample.map(|i| self.rays[i]), &sample.map(|i| self.points[i]));
+        models.extend(poses.into_iter().map(AbsoluteModel::from));
     }
 
     #[inline]
-    fn residual_sq(&self, pose: &Pose, i: usize) -> f64 {
-        let x = pose.transform(self.points[i]);
+    fn residual_sq(&self, model: &AbsoluteModel, i: usize) -> f64 {
+        let x = model.rotation * self.points[i] + model.pose.translation;
         if x.z > 0.0 {
             (x.truncate() * (self.focal / x.z)).distance_squared(self.pixels[i])
         } else {
@@ -50,10 +64,10 @@ impl Estimator for AbsolutePoseEstimator {
         }
     }
 
-    fn refine(&self, pose: &Pose, inliers: &[usize]) -> Option<Pose> {
-        let start = AbsoluteRefinement { pose: *pose, focal: self.focal };
+    fn refine(&self, model: &AbsoluteModel, inliers: &[usize]) -> Option<AbsoluteModel> {
+        let start = AbsoluteRefinement { pose: model.pose, focal: self.focal };
         let refined = refine_absolute(start, &self.pixels, &self.points, inliers, false, self.loss_scale, 8);
-        Some(refined.pose)
+        Some(refined.pose.into())
     }
 }
 
@@ -74,9 +88,7 @@ pub(crate) fn estimate_absolute_pose(
     let ideal = usable.iter().map(|&i| camera.unproject(pixels[i]) * focal).collect();
     let world = usable.iter().map(|&i| points[i]).collect();
     let estimator = AbsolutePoseEstimator::new(ideal, world, focal, config.threshold / 4.0);
-    let mut result = ransac(&estimator, config, stream_index)?;
-    for inlier in &mut result.inliers {
-        *inlier = usable[*inlier];
-    }
-    Some(result)
+    let RansacResult { model, inliers, score } = ransac(&estimator, config, stream_index)?;
+    let inliers = inliers.into_iter().map(|i| usable[i]).collect();
+    Some(RansacResult { model: model.pose, inliers, score })
 }

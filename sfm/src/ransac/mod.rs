@@ -79,7 +79,8 @@ pub(crate) struct RansacResult<M> {
 /// Finds the model of least truncated quadratic cost (MSAC: Torr & Zisserman 2000): random minimal
 /// samples, each new best refined on its inliers while that helps (LO-RANSAC: Chum, Matas & Kittler
 /// 2003), stop when enough samples have been drawn for the inlier ratio found. Candidates that
-/// exceed the best cost are dropped half-way. The result depends on the data, the configuration and
+/// exceed the best cost are dropped half-way, and so are those that a sequential test finds
+/// unlikely to reach it ([`SequentialTest`]). The result depends on the data, the configuration and
 /// `stream_index` only. `None` if no model has `min_inliers`.
 pub(crate) fn ransac<E: Estimator>(
     estimator: &E,
@@ -91,7 +92,7 @@ pub(crate) fn ransac<E: Estimator>(
         return None;
     }
     let mut random = rng(config.seed, "ransac", stream_index);
-    let mut search = RansacSearch::new(estimator, config.threshold, n);
+    let mut search = RansacSearch::new(estimator, config, n);
     let hopeless = needed_samples(config.min_inliers.max(k) as f64 / n as f64, k, config.confidence);
     let mut limit = config.max_iterations.min(hopeless.max(config.min_iterations));
     let mut sample = vec![0; k];
@@ -151,6 +152,57 @@ fn draw(random: &mut scene::rng::Rng, n: usize, sample: &mut [usize]) {
     }
 }
 
+/// Wald's sequential probability ratio test (Chum & Matas, PAMI 2008): the logarithm of how much
+/// likelier a datum is under a wrong model than under one with as many inliers as the best.
+struct SequentialTest {
+    /// Data in all.
+    count: f64,
+    /// Share of inliers of the best model; before there is one, of the poorest that is a model.
+    good: f64,
+    /// Inliers of rejected models, and the data they were compared with.
+    wrong: [f64; 2],
+    /// Logarithm that an inlier adds.
+    inlier: f64,
+    /// Logarithm that an outlier adds.
+    outlier: f64,
+    /// From here on a model is rejected: one that is as good as the best is, with no greater
+    /// probability than that with which the search may miss it in any case.
+    most: f64,
+}
+
+impl SequentialTest {
+    /// Inliers and data that stand for wrong models until some were seen: it takes longer where
+    /// they are off, and errs no more often. Source: Chum & Matas, PAMI 2008 (0.05 at first).
+    const WRONG_AT_FIRST: [f64; 2] = [1.0, 20.0];
+
+    fn new(config: &RansacConfig, count: usize) -> Self {
+        let most = -(1.0 - config.confidence).max(1e-12).ln();
+        let (count, wrong) = (count as f64, Self::WRONG_AT_FIRST);
+        let mut test = Self { count, good: 0.0, wrong, inlier: 0.0, outlier: 0.0, most };
+        test.note_best(config.min_inliers);
+        test
+    }
+
+    fn note_best(&mut self, inliers: usize) {
+        self.good = (inliers as f64).min(self.count - 0.5) / self.count;
+        self.update();
+    }
+
+    fn note_rejected(&mut self, inliers: usize, looked: usize) {
+        self.wrong[0] += inliers as f64;
+        self.wrong[1] += looked as f64;
+        self.update();
+    }
+
+    /// Where wrong models have as many inliers as the best one nothing is told apart.
+    fn update(&mut self) {
+        let (good, wrong) = (self.good, self.wrong[0] / self.wrong[1]);
+        let apart = wrong < good;
+        self.inlier = if apart { (wrong / good).ln() } else { 0.0 };
+        self.outlier = if apart { ((1.0 - wrong) / (1.0 - good)).ln() } else { 0.0 };
+    }
+}
+
 struct RansacSearch<'a, E: Estimator> {
     estimator: &'a E,
     limit_sq: f64,
@@ -160,41 +212,50 @@ struct RansacSearch<'a, E: Estimator> {
     score: f64,
     inliers: Vec<usize>,
     scratch: Vec<usize>,
+    test: SequentialTest,
 }
 
 impl<'a, E: Estimator> RansacSearch<'a, E> {
-    fn new(estimator: &'a E, threshold: f64, n: usize) -> Self {
+    fn new(estimator: &'a E, config: &RansacConfig, n: usize) -> Self {
         let mut random = rng(0, "ransac order", n as u64);
         let mut order: Vec<usize> = (0..n).collect();
         for i in (1..n).rev() {
             order.swap(i, random.random_range(0..=i));
         }
-        let limit_sq = threshold * threshold;
+        let limit_sq = config.threshold * config.threshold;
         let (inliers, scratch) = (Vec::with_capacity(n), Vec::with_capacity(n));
         // A model in which nothing is an inlier is no model.
         let score = limit_sq * n as f64;
-        Self { estimator, limit_sq, order, best: None, score, inliers, scratch }
+        let test = SequentialTest::new(config, n);
+        Self { estimator, limit_sq, order, best: None, score, inliers, scratch, test }
     }
 
     /// Takes the model as the best if it is; its inliers are then in `inliers`.
     fn consider(&mut self, model: &E::Model) -> bool {
         self.scratch.clear();
-        let mut cost = 0.0;
-        for &i in &self.order {
+        let (mut cost, mut doubt) = (0.0, 0.0);
+        for (looked, &i) in self.order.iter().enumerate() {
             let r = self.estimator.residual_sq(model, i);
             if r < self.limit_sq {
                 cost += r;
+                doubt += self.test.inlier;
                 self.scratch.push(i);
             } else {
                 cost += self.limit_sq;
+                doubt += self.test.outlier;
             }
             if cost >= self.score {
+                return false;
+            }
+            if doubt > self.test.most {
+                self.test.note_rejected(self.scratch.len(), looked + 1);
                 return false;
             }
         }
         self.score = cost;
         self.best = Some(model.clone());
         std::mem::swap(&mut self.inliers, &mut self.scratch);
+        self.test.note_best(self.inliers.len());
         true
     }
 

@@ -104,3 +104,38 @@ fn essential_fundamental_and_homography_survive_outliers() {
         assert!(found.inliers.iter().filter(|&&i| i < 100).count() >= 99, "H, seed {seed}");
     }
 }
+
+/// Of models whose data are inliers with the probability given: the share that the test rejects,
+/// and how many of 500 data it looked at in the mean.
+fn rejected(inliers: f64, best: usize, confidence: f64) -> (f64, f64) {
+    const COUNT: usize = 500;
+    let tries = 4000;
+    let config = RansacConfig { confidence, min_inliers: 8, ..RansacConfig::default() };
+    let mut random = rng(7, "sequential test", best as u64);
+    let (mut rejected, mut looks) = (0, 0);
+    for _ in 0..tries {
+        let mut test = SequentialTest::new(&config, COUNT);
+        test.note_best(best);
+        let mut doubt = 0.0;
+        let last = (0..COUNT).find(|_| {
+            doubt += if random.random_bool(inliers) { test.inlier } else { test.outlier };
+            doubt > test.most
+        });
+        rejected += usize::from(last.is_some());
+        looks += last.map_or(COUNT, |at| at + 1);
+    }
+    (rejected as f64 / f64::from(tries), looks as f64 / f64::from(tries))
+}
+
+#[test]
+fn the_sequential_test_rejects_good_models_as_rarely_as_it_says_and_wrong_ones_soon() {
+    for (ratio, best) in [(0.2, 100), (0.5, 250), (0.9, 450), (1.0, 500)] {
+        assert!(rejected(ratio, best, 0.99).0 <= 0.012, "{ratio}: {:?}", rejected(ratio, best, 0.99));
+    }
+    for (best, most) in [(100, 120.0), (250, 25.0), (450, 10.0), (500, 5.0)] {
+        let (share, looks) = rejected(0.05, best, 0.9999);
+        assert!(share > 0.99 && looks < most, "{best} inliers: {share}, {looks} data");
+    }
+    // Wrong models that fit as many data as the best one are not told apart.
+    assert_eq!(rejected(0.05, 8, 0.9999).0, 0.0);
+}
