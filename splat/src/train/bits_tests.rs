@@ -98,8 +98,8 @@ fn stopping_and_resuming_with_exposure_changes_no_bit() {
 
 #[test]
 fn stopping_and_resuming_repeats_what_validation_views_judged() {
-    // The degree is judged at 0.3, the number of Gaussians at each eighth of growth.
-    let stops = around(&[0.0875, 0.175, 0.3, 0.4375, 0.6125, 0.7], 230);
+    // The degree is judged at 0.5, the number of Gaussians at each eighth of growth.
+    let stops = around(&[0.0875, 0.175, 0.4375, 0.5, 0.6125, 0.7], 230);
     let whole = stopped_and_resumed("judged", &dataset(72, false), &config(230), &stops);
     decision(&whole, Subject::ShDegree);
     decision(&whole, Subject::GaussianCount);

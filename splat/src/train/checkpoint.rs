@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Begins the file. Source: this format, in its fourth version.
-const MAGIC: &str = "SPLATCK4";
+/// Begins the file. Source: this format, in its fifth version.
+const MAGIC: &str = "SPLATCK5";
 
 /// Name of the file in the checkpoint folder.
 pub(crate) const FILE: &str = "training.checkpoint";

@@ -106,7 +106,7 @@ const RATES: [Decay; 6] = [
     Decay { first: 2e-2, last: 5e-3, power: 0.5 },
     Decay { first: 0.12, last: 0.06, power: 0.5 },
     Decay { first: 1.25e-2, last: 7e-3, power: 0.9 },
-    Decay { first: 7.5e-3, last: 2e-3, power: 0.5 },
+    Decay { first: 3.75e-3, last: 2e-3, power: 0.5 },
 ];
 
 impl Decay {

@@ -1,5 +1,7 @@
-//! How far colours depend on the direction they are seen from: degrees of the spherical harmonics
-//! come in one after the other, and stay if the validation views are better for it.
+//! How far colours depend on the direction they are seen from: all degrees of the spherical
+//! harmonics are there from the first step, and the highest stay if the validation views are better
+//! for it. Where they came in later, what changes with the direction (a shadow, the other side of a
+//! thin sheet) was learnt as shape by then, and stayed.
 
 use crate::cpu::sh;
 use crate::error::SplatError;
@@ -14,73 +16,71 @@ use scene::gaussians::SH_C0;
 use scene::sh::SH_COUNT;
 use serde::{Deserialize, Serialize};
 
-/// When degrees begin and are judged. All numbers were chosen by hand and never measured.
+/// When degrees are judged, and by how many views. Both were chosen by hand and never measured.
 struct DegreePlan {
-    /// Positions in the schedule from which each higher degree is in use.
-    from: [f64; MAX_SH_DEGREE as usize],
-    /// Part of the schedule between a degree's beginning and its judgement.
-    trial: f64,
+    /// Position in the schedule from which they are judged.
+    judged_from: f64,
     /// Training views over whose directions a degree's mean is taken, at most.
     directions: usize,
 }
 
 /// See [`DegreePlan`].
-const PLAN: DegreePlan = DegreePlan { from: [0.2, 0.35, 0.5], trial: 0.1, directions: 32 };
+const PLAN: DegreePlan = DegreePlan { judged_from: 0.5, directions: 32 };
 
 /// Degrees are judged while there are views to judge them.
-const _: () = assert!(PLAN.from[MAX_SH_DEGREE as usize - 1] + PLAN.trial < GROWTH_END);
+const _: () = assert!(PLAN.judged_from < GROWTH_END);
 
 /// State of the rule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ShDegreeRule {
     /// Degree above which the validation views gained nothing.
     limit: Option<u32>,
-    /// Degrees judged so far.
-    pub(crate) judged: u32,
+    /// Whether they were judged.
+    pub(crate) judged: bool,
 }
 
 impl ShDegreeRule {
-    /// Raises the degree to that of the step's position.
+    /// Raises the degree to the highest one that is wanted.
     pub(super) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
-        let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(MAX_SH_DEGREE));
-        let passed = PLAN.from.iter().filter(|&&from| step.position() >= from).count();
-        let degree = (passed as u32).min(highest);
-        if step.backend.sh_degree() < degree { step.backend.set_sh_degree(degree) } else { Ok(()) }
+        let wanted = step.setup.config.sh_degree.min(self.limit.unwrap_or(MAX_SH_DEGREE));
+        if step.backend.sh_degree() < wanted { step.backend.set_sh_degree(wanted) } else { Ok(()) }
     }
 
-    /// A degree that was in use for a while stays if the validation views are better for it.
+    /// From the highest down to the first by which the validation views are better, degrees go.
     pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
-        let highest = step.setup.config.sh_degree;
-        let begun = PLAN.from.get(self.judged as usize);
-        let begun = begun.filter(|_| self.judged < highest && self.limit.is_none());
-        // In a schedule of a few steps a degree's time is over before any step has used it.
-        let unused = step.backend.sh_degree() <= self.judged;
-        if step.setup.validation.is_empty()
-            || unused
-            || !begun.is_some_and(|from| (from + PLAN.trial..GROWTH_END).contains(&step.position()))
-        {
+        let mut degree = step.backend.sh_degree();
+        let is_time = (PLAN.judged_from..GROWTH_END).contains(&step.position());
+        if self.judged || !is_time || degree == 0 || step.setup.validation.is_empty() {
             return Ok(());
         }
-        let setup = step.setup;
-        let (level, lower) = (step.level(), self.judged);
-        self.judged += 1;
-        let with = step.psnr(&setup.validation, level, Some(self.judged))?;
-        let without = psnr_without(step, level, lower)?;
-        let pays = with - without >= LEAST_GAIN;
-        if !pays {
-            self.limit = Some(lower);
-            step.backend.set_sh_degree(lower)?;
+        self.judged = true;
+        let (setup, level) = (step.setup, step.level());
+        loop {
+            let lower = degree - 1;
+            let with = step.psnr(&setup.validation, level, Some(degree))?;
+            let without = psnr_without(step, level, lower)?;
+            let pays = with - without >= LEAST_GAIN;
+            if !pays {
+                self.limit = Some(lower);
+                let cameras = some_cameras(step);
+                step.backend.edit(&mut |model, _| {
+                    fold_degree(model, degree, &cameras);
+                    model.set_sh_degree(lower);
+                })?;
+            }
+            if pays || lower == 0 {
+                let [kept, other] = if pays { [degree, lower] } else { [lower, degree] };
+                let [kept, other] = [kept, other].map(degree_choice);
+                let (of_kept, of_other) = if pays { (with, without) } else { (without, with) };
+                let decision = Decision::new(Subject::ShDegree, kept.clone(), Rule::Evidence)
+                    .with(Measurement::count(Quantity::ValidationViews, setup.validation.len()))
+                    .compared(kept, true, vec![Measurement::new(Quantity::Psnr, of_kept)])
+                    .compared(other, false, vec![Measurement::new(Quantity::Psnr, of_other)]);
+                step.state.decisions.push(decision);
+                return Ok(());
+            }
+            degree = lower;
         }
-        if !pays || self.judged == highest {
-            let [lower, higher] = [lower, self.judged].map(degree_choice);
-            let chosen = if pays { &higher } else { &lower }.clone();
-            let decision = Decision::new(Subject::ShDegree, chosen, Rule::Evidence)
-                .with(Measurement::count(Quantity::ValidationViews, setup.validation.len()))
-                .compared(lower, !pays, vec![Measurement::new(Quantity::Psnr, without)])
-                .compared(higher, pays, vec![Measurement::new(Quantity::Psnr, with)]);
-            step.state.decisions.push(decision);
-        }
-        Ok(())
     }
 }
 
@@ -88,14 +88,20 @@ fn degree_choice(degree: u32) -> Choice {
     Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
 }
 
+/// Where some of the training views were taken from.
+fn some_cameras(step: &RuleContext) -> Vec<Vec3> {
+    let setup = step.setup;
+    let every = setup.views.len().div_ceil(PLAN.directions);
+    let some = setup.views.iter().step_by(every);
+    some.map(|&v| setup.dataset.views[v].view.position()).collect()
+}
+
 /// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries
 /// a part of the constant colour, so that leaving it out says too much for it: its mean over the
 /// training views' directions takes the place of what it says.
 fn psnr_without(step: &mut RuleContext, level: u32, degree: u32) -> Result<f64, SplatError> {
     let setup = step.setup;
-    let every = setup.views.len().div_ceil(PLAN.directions);
-    let some = setup.views.iter().step_by(every);
-    let cameras: Vec<Vec3> = some.map(|&v| setup.dataset.views[v].view.position()).collect();
+    let cameras = some_cameras(step);
     let mut before = Vec::new();
     step.backend.edit(&mut |model, _| before = fold_degree(model, degree + 1, &cameras))?;
     let psnr = step.psnr(&setup.validation, level, Some(degree));
