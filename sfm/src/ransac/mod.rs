@@ -183,6 +183,7 @@ impl SequentialTest {
         test
     }
 
+    /// Half a datum short of all, so that an outlier never adds an infinity.
     fn note_best(&mut self, inliers: usize) {
         self.good = (inliers as f64).min(self.count - 0.5) / self.count;
         self.update();

@@ -267,7 +267,7 @@ fn degree(degree: u32) -> Choice {
 }
 
 /// A degree whose coefficients the validation views gain nothing by goes and does not come back,
-/// one that they confirm stays.
+/// one that they confirm stays; what goes leaves its mean in the constant colour.
 #[test]
 fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
     let (dull, shiny) = (truth(), shiny_truth());
@@ -275,9 +275,16 @@ fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
         sh: shiny.sh.chunks(12).flat_map(|c| [&c[..3], &[0.0; 9]].concat()).collect(),
         ..shiny.clone()
     };
-    for (what, photos, held, kept) in
-        [("spurious", &dull, &shiny, 0), ("idle", &dull, &idle, 0), ("needed", &shiny, &shiny, 1)]
-    {
+    let mut rng = scene::rng::rng(6, "too shiny", 0);
+    let mut more = || -> Vec<f32> { (0..36).map(|_| rng.random_range(-0.3f32..0.3)).collect() };
+    let sh = shiny.sh.chunks(12).flat_map(|c| [c, &more()].concat()).collect();
+    let too_shiny = Gaussians { sh, sh_degree: 3, ..shiny.clone() };
+    for (what, photos, held, kept) in [
+        ("spurious", &dull, &shiny, 0),
+        ("idle", &dull, &idle, 0),
+        ("needed", &shiny, &shiny, 1),
+        ("two too many", &shiny, &too_shiny, 1),
+    ] {
         let data = pictures_of(photos, 72, false, SIZE);
         let config = config(400);
         let mut session = Session::open(&data, &config, None).unwrap();
@@ -292,6 +299,11 @@ fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
         session.review().unwrap();
         let judged = session.state.decisions.iter().find(|d| d.subject == Subject::ShDegree).unwrap();
         assert_eq!(judged.choice, degree(kept), "{what}: {judged:?}");
+        let promised = judged.alternatives.iter().find(|a| a.accepted).unwrap().scores[0].value;
+        let (mut context, _) = session.context();
+        let (views, level) = (context.setup.validation.clone(), context.level());
+        let reached = context.psnr(&views, level, None).unwrap();
+        assert!((promised - reached).abs() < 1e-9, "{what}: {promised} dB, then {reached}");
         session.state.place.position = 0.6;
         session.step().unwrap();
         assert_eq!(session.backend.sh_degree(), kept, "{what}");

@@ -1,7 +1,7 @@
 //! How far colours depend on the direction they are seen from: all degrees of the spherical
 //! harmonics are there from the first step, and the highest stay if the validation views are better
-//! for it. Where they came in later, what changes with the direction (a shadow, the other side of a
-//! thin sheet) was learnt as shape by then, and stayed.
+//! for it. Where they came in later, the two sides of a thin sheet were learnt as two layers by
+//! then, and stayed (docs/decisions/13).
 
 use crate::cpu::sh;
 use crate::error::SplatError;
