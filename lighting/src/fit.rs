@@ -55,9 +55,9 @@ impl<'a> Brightness<'a> {
     ) -> Result<Option<Self>, Cancelled> {
         let enough = |i: &usize| {
             let seen = surface.seen[*i].len() >= LIMITS.photos;
-            seen && solid.is_opaque(*i) && surface.normal[*i] != DVec3::ZERO
+            seen && solid.is_opaque(*i / 2) && surface.normal(*i) != DVec3::ZERO
         };
-        let able: Vec<usize> = (0..solid.gaussians.len()).filter(enough).collect();
+        let able: Vec<usize> = (0..surface.seen.len()).filter(enough).collect();
         if able.is_empty() {
             return Ok(None);
         }
@@ -68,14 +68,14 @@ impl<'a> Brightness<'a> {
         let lit = directions.par_iter().map(|&d| {
             let map = ShadowMap::new(solid, ball, d, LIMITS.side);
             let row = chosen.iter().map(|&i| {
-                let normal = surface.normal[i];
+                let normal = surface.normal(i);
                 // From behind every place lies in its own shadow, which says nothing of others.
-                if normal.dot(d) > 0.0 { map.lit_before(solid.place(i), normal) as f32 } else { f32::NAN }
+                if normal.dot(d) > 0.0 { map.lit_before(solid.place(i / 2), normal) as f32 } else { f32::NAN }
             });
             progress.tick().map(|()| row.collect())
         });
         let lit = lit.collect::<Result<_, _>>()?;
-        let group = chosen.iter().map(|&i| octant(solid.place(i) - ball.centre)).collect();
+        let group = chosen.iter().map(|&i| octant(solid.place(i / 2) - ball.centre)).collect();
         let poses = photos.iter().map(|p| p.pose).collect();
         Ok(Some(Self { surface, poses, chosen, group, directions, lit }))
     }
@@ -117,7 +117,7 @@ impl<'a> Brightness<'a> {
 
     /// Light of the lamp on one of the chosen.
     fn light(&self, lamp: &LampInView, k: usize) -> f64 {
-        let cosine = self.surface.normal[self.chosen[k]].dot(lamp.towards);
+        let cosine = self.surface.normal(self.chosen[k]).dot(lamp.towards);
         if !(cosine > 0.0) {
             return 0.0;
         }

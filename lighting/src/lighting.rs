@@ -51,9 +51,8 @@ pub struct Lighting {
     /// The lamp.
     pub lamp: Lamp,
     ball: Ball,
-    /// By Gaussian, world frame; zero where nothing tells it.
-    normal: Vec<DVec3>,
-    /// By Gaussian, linear: what it would show in the lamp's full light and no other.
+    surface: SeenSurface,
+    /// By side of a Gaussian, linear: what it would show in the lamp's full light and no other.
     albedo: Vec<[f64; 3]>,
 }
 
@@ -68,7 +67,7 @@ impl Lighting {
             return Err(LightError::NoLamp);
         }
         let albedo = albedo(solid, ball, (&surface, photos), &lamp, progress)?;
-        Ok(Self { lamp, ball, normal: surface.normal, albedo })
+        Ok(Self { lamp, ball, surface, albedo })
     }
 
     /// The Gaussians as a view shows them if the lamp were elsewhere (`towards`: unit, camera
@@ -78,14 +77,16 @@ impl Lighting {
         let [old, new] = [self.lamp.towards, towards].map(|towards| self.shadows(solid, pose, towards));
         let colours = (0..g.len()).into_par_iter().flat_map_iter(|i| {
             let shown = colour_towards(g, i, pose.centre());
-            let (place, normal) = (solid.place(i), self.normal[i]);
+            let place = solid.place(i);
+            let side = self.surface.side(i, place, pose.centre());
+            let normal = self.surface.normal(side);
             let [before, after] = [&old, &new].map(|map| self.lamp.ambient + map.light(place, normal));
             [0, 1, 2].map(|c| {
-                if normal == DVec3::ZERO {
+                if normal == DVec3::ZERO || self.surface.seen[side].is_empty() {
                     return shown[c];
                 }
-                let unexplained = linear(shown[c]) - self.albedo[i][c] * before;
-                srgb(self.albedo[i][c] * after + LIMITS.kept * unexplained)
+                let unexplained = linear(shown[c]) - self.albedo[side][c] * before;
+                srgb(self.albedo[side][c] * after + LIMITS.kept * unexplained)
             })
         });
         let sh = colours.map(|v| (v as f32 - 0.5) / SH_C0).collect();
@@ -113,7 +114,7 @@ fn albedo(
         let map = ShadowMap::new(solid, ball, towards, LIMITS.side);
         light.par_iter_mut().enumerate().for_each(|(i, light)| {
             if surface.seen[i].get(light.len()).is_some_and(|next| next.view as usize == view) {
-                light.push((lamp.ambient + map.light(solid.place(i), surface.normal[i])) as f32);
+                light.push((lamp.ambient + map.light(solid.place(i / 2), surface.normal(i))) as f32);
             }
         });
         progress.tick()?;

@@ -41,12 +41,13 @@ impl Appearance {
     }
 }
 
-/// Of every Gaussian.
+/// Of every Gaussian's two sides: a sheet shows a lit and a shaded one. Side `2 i` of Gaussian `i`
+/// is the one its normal points from, `2 i + 1` the other.
 #[derive(Clone, Debug)]
 pub(crate) struct SeenSurface {
     pub(crate) seen: Vec<Vec<Appearance>>,
-    /// World frame, unit, outwards; zero where no view tells.
-    pub(crate) normal: Vec<DVec3>,
+    /// By Gaussian, world frame, unit; zero where no view tells.
+    normal: Vec<DVec3>,
 }
 
 impl SeenSurface {
@@ -56,7 +57,7 @@ impl SeenSurface {
         progress: &Progress,
     ) -> Result<Self, Cancelled> {
         let count = solid.gaussians.len();
-        let mut seen = vec![Vec::new(); count];
+        let mut seen: Vec<Vec<Appearance>> = vec![Vec::new(); count];
         let mut normal = vec![DVec3::ZERO; count];
         progress.begin("light on the surface", photos.len());
         for (view, photo) in photos.iter().enumerate() {
@@ -64,12 +65,30 @@ impl SeenSurface {
             let met = (0..count).into_par_iter().filter_map(|i| Some((i, map.meets(solid.place(i))?)));
             for (i, pixel) in met.collect::<Vec<_>>() {
                 seen[i].push(Appearance { view: view as u32, rgb: map.colour(pixel) });
-                normal[i] += map.normal(pixel).unwrap_or_default();
+                let towards_eye = map.normal(pixel).unwrap_or_default();
+                let sign = if towards_eye.dot(normal[i]) < 0.0 { -1.0 } else { 1.0 };
+                normal[i] += sign * towards_eye;
             }
             progress.tick()?;
         }
         normal.iter_mut().for_each(|n| *n = n.normalize_or_zero());
-        Ok(Self { seen, normal })
+        let eyes: Vec<DVec3> = photos.iter().map(|p| p.pose.centre()).collect();
+        let sides = seen.into_par_iter().enumerate().flat_map_iter(|(i, seen)| {
+            let before = |s: &Appearance| normal[i].dot(eyes[s.view as usize] - solid.place(i)) >= 0.0;
+            let (front, back): (Vec<_>, Vec<_>) = seen.into_iter().partition(before);
+            [front, back]
+        });
+        Ok(Self { seen: sides.collect(), normal })
+    }
+
+    /// Outwards, world frame, unit; zero where no view tells.
+    pub(crate) fn normal(&self, side: usize) -> DVec3 {
+        if side % 2 == 0 { self.normal[side / 2] } else { -self.normal[side / 2] }
+    }
+
+    /// The side of a Gaussian that an eye sees.
+    pub(crate) fn side(&self, i: usize, place: DVec3, eye: DVec3) -> usize {
+        2 * i + usize::from(self.normal[i].dot(eye - place) < 0.0)
     }
 }
 

@@ -60,6 +60,25 @@ impl Block {
         }
     }
 
+    /// With a sheet beside it, as thin as a solar array.
+    fn with_sheet() -> Self {
+        let mut block = Self::new(1.0);
+        block.face(1.0, DVec3::new(0.0, 0.75, 0.0), DVec3::new(0.0, 0.35, 0.3), 0, 1.0);
+        let n = block.normals.len();
+        block.gaussians.opacity_logits = vec![6.0; n];
+        block.gaussians.sh = vec![0.0; 3 * n];
+        block
+    }
+
+    /// With the normals of the sheet towards an eye.
+    fn seen_from(&self, eye: DVec3) -> Self {
+        let (mut normals, block) = (self.normals.clone(), Self::new(self.unit).normals.len());
+        for (normal, place) in normals.iter_mut().zip(&self.gaussians.means).skip(block) {
+            *normal *= normal.dot(eye - place.as_dvec3()).signum();
+        }
+        Self { gaussians: self.gaussians.clone(), normals, albedo: self.albedo.clone(), unit: self.unit }
+    }
+
     /// As it is under a lamp (world frame), with the shadow of the small block on the large one.
     fn lit(&self, towards: DVec3) -> Gaussians {
         let linear = (0..self.normals.len()).map(|i| {
@@ -105,7 +124,9 @@ fn picture(gaussians: &Gaussians, pose: &Pose) -> Vec<u8> {
 
 /// What a lamp, camera frame, shows in each pose.
 fn film(block: &Block, poses: &[Pose], lamp: DVec3) -> Vec<Vec<u8>> {
-    poses.iter().map(|pose| picture(&block.lit(pose.rotation.inverse() * lamp), pose)).collect()
+    let shown =
+        |pose: &Pose| picture(&block.seen_from(pose.centre()).lit(pose.rotation.inverse() * lamp), pose);
+    poses.iter().map(shown).collect()
 }
 
 fn solved(gaussians: &Gaussians, poses: &[Pose], film: &[Vec<u8>]) -> Result<Lighting, LightError> {
@@ -141,6 +162,34 @@ fn a_lamp_beside_the_camera_is_found_and_can_be_moved() {
     let same = lighting.relit(&solid(&shown), &poses[3], lighting.lamp.towards);
     let again = psnr(&picture(&same, &poses[3]), &picture(&shown, &poses[3]));
     assert!(again > 24.0, "{again}");
+}
+
+#[test]
+fn a_sheet_has_a_light_and_a_dark_side() {
+    let (block, poses, lamp) = (Block::with_sheet(), poses(1.0), direction(-35.0, 25.0));
+    let film = film(&block, &poses, lamp);
+    let in_view =
+        |k: usize, lamp: DVec3| block.seen_from(poses[k].centre()).lit(poses[k].rotation.inverse() * lamp);
+    let lighting = solved(&in_view(3, lamp), &poses, &film).unwrap();
+    let off = lighting.lamp.towards.angle_between(lamp).to_degrees();
+    assert!(off < 6.0, "{off} {:?}", lighting.lamp);
+    assert!((lighting.lamp.ambient - AMBIENT).abs() < 0.08, "{:?}", lighting.lamp);
+    // From both sides of the sheet, and only where it is.
+    for k in [3, 15] {
+        let (shown, moved) = (in_view(k, lamp), direction(30.0, 25.0));
+        let towards = poses[k].rotation.inverse() * moved;
+        let truth = picture(&in_view(k, moved), &poses[k]);
+        let without = picture(&Block::new(1.0).lit(towards), &poses[k]);
+        let of_sheet = |rgb: Vec<u8>| -> Vec<u8> {
+            let pixels = rgb.iter().zip(&truth).zip(&without);
+            pixels.filter(|((_, t), w)| t != w).map(|((v, _), _)| *v).collect()
+        };
+        let relit = picture(&lighting.relit(&solid(&shown), &poses[k], moved), &poses[k]);
+        let [truth_there, as_it_is, relit] = [truth.clone(), picture(&shown, &poses[k]), relit].map(of_sheet);
+        assert!(truth_there.len() > 300, "{k}: {}", truth_there.len());
+        let [before, after] = [as_it_is, relit].map(|rgb| psnr(&rgb, &truth_there));
+        assert!(after > 24.0 && before < 20.0, "{k}: {before} {after}");
+    }
 }
 
 #[test]
