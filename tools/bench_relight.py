@@ -38,7 +38,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("binary")
     parser.add_argument("--out", required=True)
-    parser.add_argument("--object", nargs="*", default=["mock-up=", "variant5=variant:5"])
+    parser.add_argument("--object", nargs="*", default=["variant5=variant:5", "variant9=variant:9", "mock-up="])
     parser.add_argument("--every", type=int, default=3)
     parser.add_argument("--quality", default="fast")
     args = parser.parse_args()

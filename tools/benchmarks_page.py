@@ -92,6 +92,10 @@ SECTIONS = [
      "stated deviations. *Body*: rotations of the body, and before parts were looked for. The F-score is that of the meshes at rest at "
      "1 % of the size. Half B of the objects never chose anything; can_orbit and mockup-arrays-full-4 chose rules, and do not say how well these carry over.",
      ["parts"], "`make bench-parts`, with the captures of `make suite`"),
+    ("How well is a satellite shown in another light?",
+     "The test bed's yaw at 100 % light, every third frame, at `fast`, and its held-out views filmed again with the lamp turned about "
+     "the vertical axis: PSNR in the matte of the splat as it is and of `render --light`. The variants are satellites drawn at "
+     "random; variant9 chose nothing.", ["relight"], "`make bench-relight` (needs Blender)"),
     ("What does one training step cost?",
      "CPU milliseconds of the process, spherical harmonics of degree 3, 360 × 640 pixels.", ["step"], BENCH + " (`--tables step`)"),
     ("How does a training step grow?",

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 const AROUND: usize = 1;
 /// What is seen more aslant is not told from a jump in depth: cosine of the angle between the ray
 /// and the normal. Source: docs/decisions/16.
-pub(super) const LEAST_COSINE: f64 = 0.15;
+pub(super) const LEAST_COSINE: f64 = 0.05;
 /// Depths are on a plane if they are off it by less than this across the ray, root mean square,
 /// pixels. Source: docs/decisions/16.
 const PLANE_PX: f64 = 0.3;
@@ -109,14 +109,14 @@ mod tests {
     #[test]
     fn planes_are_seen_as_much_aslant_as_they_lie_at_any_size() {
         for size in [1e-6, 1.0, 1e6] {
-            for down_deg in [10.0_f64, 30.0, 60.0, 90.0] {
+            for down_deg in [5.0_f64, 10.0, 30.0, 60.0, 90.0] {
                 let found = middle(&plane(down_deg, size));
                 let expected = down_deg.to_radians().sin();
                 assert!((found - expected).abs() < 0.01, "{size}, {down_deg}: {found}, not {expected}");
             }
         }
         // Still more aslant, a plane is like a jump in depth.
-        assert_eq!(middle(&plane(3.0, 1.0)), 1.0);
+        assert_eq!(middle(&plane(1.5, 1.0)), 1.0);
     }
 
     #[test]
