@@ -157,6 +157,12 @@ impl PinholeLens {
         Vec3::new((x - self.centre[0]) * fx, (y - self.centre[1]) * fy, 1.0)
     }
 
+    /// The normal whose [`row`](Self::row) this is, of any length.
+    pub(crate) fn normal(&self, [a, b, c]: [f32; 3]) -> Vec3 {
+        let [x, y] = self.centre;
+        Vec3::new(a / self.inverse_focal[0], b / self.inverse_focal[1], a * x + b * y + c)
+    }
+
     /// `nᵀ K⁻¹`: with it `n · ray(p) = row · (x, y, 1)`.
     #[inline(always)]
     pub(crate) fn row(&self, n: Vec3) -> [f32; 3] {

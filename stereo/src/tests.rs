@@ -160,6 +160,33 @@ fn depths_that_were_kept_are_those_that_were_found() {
 }
 
 #[test]
+fn what_is_seen_much_aslant_has_the_other_depth() {
+    let shot = Shot::new(1.0, 5, 96);
+    let (views, points) = (shot.views(), shot.points());
+    let found = dense_depths(&views, &points, &settings(), &Progress::silent()).unwrap();
+    let join = DepthJoin::new(&found, &views);
+    let field = &found.fields[2];
+    let (focal, middle) = (field.camera.focal().x as f32, field.camera.principal_point().x as f32);
+    // Planes behind the surface through the middle column, whose normals lean to the side.
+    let plane = |tangent: f32| {
+        let inverse = (0..field.depth.len()).map(|i| {
+            let beside = field.place(i).0 as f32 + 0.5 - middle;
+            50.0 / (1.0 + tangent / focal * beside)
+        });
+        inverse.collect::<Vec<f32>>()
+    };
+    let near_middle = |i: &usize| (field.place(*i).0 as f32 - middle).abs() < 4.0 && field.depth[*i] > 0.0;
+    let middles: Vec<usize> = (0..field.depth.len()).filter(near_middle).collect();
+    assert!(middles.len() > 50);
+    for (tangent, is_other) in [(1.0, false), (-1.0, false), (5.0, true), (-5.0, true)] {
+        let other = plane(tangent);
+        let joined = join.joined(2, &other);
+        let same = middles.iter().filter(|&&i| joined[i] == if is_other { other[i] } else { field.depth[i] });
+        assert!(same.count() * 10 > middles.len() * 9, "{tangent}");
+    }
+}
+
+#[test]
 fn a_depth_before_that_by_stereo_counts_where_the_photos_do_not_contradict() {
     let shot = Shot::new(1.0, 5, 96);
     let (views, points) = (shot.views(), shot.points());
@@ -171,10 +198,10 @@ fn a_depth_before_that_by_stereo_counts_where_the_photos_do_not_contradict() {
         same.count() as f32 / known as f32
     };
     let nearer = |factor: f32| own.iter().map(|z| factor * z).collect::<Vec<f32>>();
-    // The texture is seen: a surface 10 % nearer is refuted, one behind never counts.
+    // The texture is seen: a surface 10 % nearer is refuted, one behind counts only much aslant.
     let join = DepthJoin::new(&found, &views);
     assert!(known > 500 && share(&join.joined(2, &nearer(0.9)), 1.0) > 0.95);
-    assert_eq!(share(&join.joined(2, &nearer(1.1)), 1.0), 1.0);
+    assert!(share(&join.joined(2, &nearer(1.1)), 1.0) > 0.95);
     // Nothing is known there by one of the two, or by both.
     assert_eq!(join.joined(2, &vec![0.0; own.len()]), *own);
     let unknown = join.joined(2, &vec![7.0; own.len()]);
@@ -184,7 +211,7 @@ fn a_depth_before_that_by_stereo_counts_where_the_photos_do_not_contradict() {
     let plain: Vec<PosedPhoto> = views.iter().map(|v| PosedPhoto { rgb: &grey, mask: None, ..*v }).collect();
     let join = DepthJoin::new(&found, &plain);
     assert!(share(&join.joined(2, &nearer(0.9)), 0.9) > 0.95);
-    assert_eq!(share(&join.joined(2, &nearer(0.99)), 1.0), 1.0, "less than the errors of both");
+    assert!(share(&join.joined(2, &nearer(0.99)), 1.0) > 0.95, "less than the errors of both");
 }
 
 #[test]
