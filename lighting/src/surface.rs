@@ -83,7 +83,7 @@ impl SeenSurface {
 
     /// Outwards, world frame, unit; zero where no view tells.
     pub(crate) fn normal(&self, side: usize) -> DVec3 {
-        if side % 2 == 0 { self.normal[side / 2] } else { -self.normal[side / 2] }
+        if side.is_multiple_of(2) { self.normal[side / 2] } else { -self.normal[side / 2] }
     }
 
     /// The side of a Gaussian that an eye sees.

@@ -1,7 +1,7 @@
 //! Depths by stereo joined with depths of another origin, say those of a splat.
 //!
-//! Stereo is the more exact of the two, but not where a face is seen much aslant, and on a blank face
-//! it finds what is behind: there the other counts, unless the photos say otherwise.
+//! Stereo is the more exact of the two, but not where a face is seen much aslant, and on a blank
+//! face it finds what is behind: there the other counts, unless the photos say otherwise.
 
 use crate::correlation::{Patch, PlaneAt, Sight, costs};
 use crate::depths::DenseDepths;
