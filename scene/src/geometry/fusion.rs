@@ -33,6 +33,13 @@ const FULL_WEIGHT_BEHIND: f32 = 0.25;
 /// that should meet it: with full weight these would erase it. Share of 1.
 /// Source: docs/decisions/16.
 const PROBABLY_NOTHING: f32 = 0.1;
+/// Before a surface, as far as this from the truncation on, a ray is less surely empty: the errors
+/// of depths on blank faces reach beyond the truncation, and what lies too far off would carve the
+/// surface while what lies too near says nothing of it. Truncation distances. Source:
+/// docs/decisions/16.
+const LESS_SURE: f64 = 3.0;
+/// Weight of a ray there, share of 1. Source: docs/decisions/16.
+const LESS_SURELY_NOTHING: f32 = 0.5;
 /// Colours come from views that put the surface no farther off, in truncation distances.
 /// Source: chosen by hand, never measured.
 const COLOUR_BAND: f32 = 0.5;
@@ -197,13 +204,14 @@ impl FusionBlock {
             };
             // Along the ray, not along z, and from there to the plane of the surface.
             let cosine = f64::from(cosines[pixel]) / f64::from(u8::MAX);
-            let across = ((depth - p.z) / p.z * p.length() * cosine / truncation - nearer).min(1.0);
+            let across = (depth - p.z) / p.z * p.length() * cosine / truncation - nearer;
+            let share = if (1.0..LESS_SURE).contains(&across) { LESS_SURELY_NOTHING } else { share };
             let (distance, share) = match map.outline.get(pixel) {
                 // At the depth of a thin part, or beside it: how far to the side it ends.
                 Some(&s) if s.is_finite() && (across < 1.0 || depth.is_infinite()) && across > -1.0 => {
                     ((f64::from(s) * p.z / focal.x / truncation).clamp(-1.0, 1.0), 1.0)
                 }
-                _ => (across, share),
+                _ => (across.min(1.0), share),
             };
             let distance = distance as f32;
             if distance > -1.0 {
@@ -366,6 +374,20 @@ mod tests {
         let covered: BTreeSet<[i32; 2]> = cells.collect();
         let inside = covered.iter().filter(|c| c.iter().all(|v| (-10..10).contains(v))).count();
         assert_eq!(inside, 400, "of 400 cells");
+    }
+
+    #[test]
+    fn depths_too_far_by_more_than_the_truncation_carve_little() {
+        // Every third view is too far by one and a half truncations.
+        let maps: Vec<DepthMap> = (0..30)
+            .map(|i| (f64::from(i) * 2.4, if i % 3 == 0 { 0.24 } else { 0.0 }))
+            .map(|(a, error)| plate(DVec3::new(0.3 * a.cos(), 0.3 * a.sin(), 1.0), error))
+            .collect();
+        let mesh = fused(&maps, 1.0);
+        let middle = mesh.vertices.iter().filter(|v| v.truncate().length() < 0.5);
+        let depth = middle.map(|v| -v.z).fold(f64::INFINITY, f64::min);
+        // With their full weight nothing would be left before them.
+        assert!((0.0..0.06).contains(&depth), "{depth}");
     }
 
     #[test]
