@@ -7,70 +7,49 @@
 //! Reconstruction at Scale using Voxel Hashing", 2013. Distances are to the plane of the surface
 //! around a pixel: along the ray a plate that is seen aslant would be thicker than the truncation.
 
-mod extract;
-
 use super::Mesh;
 use super::depth_map::DepthMap;
+use super::extract::extract;
 use super::facing::cosines;
 use super::settle::settle;
+use super::volume::{FusionBlock, FusionOptions, SIDE, VOXELS};
 use crate::Progress;
-use extract::extract;
 use glam::{DVec2, DVec3, IVec3};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Voxels along a side of a block. Source: docs/decisions/16.
-const SIDE: i32 = 8;
-/// Voxels of a block. Source: derived from [`SIDE`].
-const VOXELS: usize = (SIDE * SIDE * SIDE) as usize;
-/// Blocks reach this far around the surface, voxels. Source: chosen by hand, never
-/// measured.
-const MARGIN: f64 = 2.0;
-/// Behind the surface a view counts fully as far as this, then less and less, in truncation
-/// distances. Source: chosen by hand, never measured.
-const FULL_WEIGHT_BEHIND: f32 = 0.25;
-/// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray
-/// that should meet it: with full weight these would erase it. Share of 1.
-/// Source: docs/decisions/16.
-const PROBABLY_NOTHING: f32 = 0.1;
-/// Before a surface, as far as this from the truncation on, a ray is less surely empty: the errors
-/// of depths on blank faces reach beyond the truncation, and what lies too far off would carve the
-/// surface while what lies too near says nothing of it. Truncation distances. Source:
-/// docs/decisions/16.
-const LESS_SURE: f64 = 3.0;
-/// Weight of a ray there, share of 1. Source: docs/decisions/16.
-const LESS_SURELY_NOTHING: f32 = 0.5;
-/// Colours come from views that put the surface no farther off, in truncation distances.
-/// Source: chosen by hand, never measured.
-const COLOUR_BAND: f32 = 0.5;
-
-/// How depth maps are fused.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FusionOptions {
-    /// Side of a voxel, scene units.
-    pub voxel: f64,
-    /// Distances are cut off here, voxels.
-    pub truncation: f64,
-    /// Surfaces are fused as if they lay this much nearer to the cameras, voxels, and put back.
-    pub thicken: f64,
-    /// A voxel counts if at least so many views saw it.
-    pub least_views: u8,
-    /// Most memory of the volume, bytes.
-    pub most_bytes: usize,
+/// How much what a view says counts.
+struct FusionWeights {
+    /// Blocks reach this far around the surface, voxels. Source: chosen by hand, never measured.
+    margin: f64,
+    /// Behind the surface a view counts fully as far as this, then less and less, in truncation
+    /// distances. Source: chosen by hand, never measured.
+    full_behind: f32,
+    /// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third
+    /// ray that should meet it: with full weight these would erase it. Share of 1. Source:
+    /// docs/decisions/16.
+    probably_nothing: f32,
+    /// Before a surface, as far as this from the truncation on, a ray is less surely empty: the
+    /// errors of depths on blank faces reach beyond the truncation, and what lies too far off would
+    /// carve the surface while what lies too near says nothing of it. Truncation distances. Source:
+    /// docs/decisions/16.
+    less_sure: f64,
+    /// Weight of a ray there, share of 1. Source: docs/decisions/16.
+    less_surely_nothing: f32,
+    /// Colours come from views that put the surface no farther off, in truncation distances.
+    /// Source: chosen by hand, never measured.
+    colour_band: f32,
 }
 
-#[derive(Clone)]
-struct FusionBlock {
-    /// Place of the first voxel, in blocks.
-    at: [i32; 3],
-    /// Mean distance in [-1, 1] truncations, positive outside, and its weight.
-    distance: Vec<f32>,
-    weight: Vec<f32>,
-    /// How many views saw it, 255 at most.
-    views: Vec<u8>,
-    /// Sums of colours, and their weight.
-    colour: Vec<[f32; 4]>,
-}
+/// The values in force.
+const WEIGHTS: FusionWeights = FusionWeights {
+    margin: 2.0,
+    full_behind: 0.25,
+    probably_nothing: 0.1,
+    less_sure: 3.0,
+    less_surely_nothing: 0.5,
+    colour_band: 0.5,
+};
 
 /// Why there is no mesh.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -138,7 +117,7 @@ fn blocks_around(p: DVec3, margin: f64) -> Option<(IVec3, IVec3)> {
 fn touched(map: &DepthMap<'_>, options: &FusionOptions) -> BTreeSet<[i32; 3]> {
     let world_from_cam = map.pose.inverse();
     let block = options.voxel * f64::from(SIDE);
-    let margin = (MARGIN + options.thicken) / f64::from(SIDE);
+    let margin = (WEIGHTS.margin + options.thicken) / f64::from(SIDE);
     let rows = map.depth.len().div_ceil(4096);
     let sets = (0..rows).into_par_iter().map(|row| {
         let mut set = BTreeSet::new();
@@ -198,14 +177,15 @@ impl FusionBlock {
             }
             let pixel = pixel.y as usize * map.camera.width as usize + pixel.x as usize;
             let (depth, share) = match f64::from(map.depth[pixel]) {
-                f64::NEG_INFINITY => (f64::INFINITY, PROBABLY_NOTHING),
+                f64::NEG_INFINITY => (f64::INFINITY, WEIGHTS.probably_nothing),
                 depth if depth > 0.0 => (depth, 1.0),
                 _ => continue,
             };
             // Along the ray, not along z, and from there to the plane of the surface.
             let cosine = f64::from(cosines[pixel]) / f64::from(u8::MAX);
             let across = (depth - p.z) / p.z * p.length() * cosine / truncation - nearer;
-            let share = if (1.0..LESS_SURE).contains(&across) { LESS_SURELY_NOTHING } else { share };
+            let share =
+                if (1.0..WEIGHTS.less_sure).contains(&across) { WEIGHTS.less_surely_nothing } else { share };
             let (distance, share) = match map.outline.get(pixel) {
                 // At the depth of a thin part, or beside it: how far to the side it ends.
                 Some(&s) if s.is_finite() && (across < 1.0 || depth.is_infinite()) && across > -1.0 => {
@@ -216,7 +196,7 @@ impl FusionBlock {
             let distance = distance as f32;
             if distance > -1.0 {
                 self.count(i, distance, share);
-                if distance.abs() < COLOUR_BAND {
+                if distance.abs() < WEIGHTS.colour_band {
                     let rgb = &map.rgb[pixel * 3..pixel * 3 + 3];
                     self.colour(i, rgb, share * (cosine * cosine) as f32);
                 }
@@ -225,7 +205,7 @@ impl FusionBlock {
     }
 
     fn count(&mut self, i: usize, distance: f32, share: f32) {
-        let weight = share * ((1.0 + distance) / (1.0 - FULL_WEIGHT_BEHIND)).min(1.0);
+        let weight = share * ((1.0 + distance) / (1.0 - WEIGHTS.full_behind)).min(1.0);
         let sum = self.weight[i] + weight;
         self.distance[i] += (distance - self.distance[i]) * weight / sum;
         self.weight[i] = sum;

@@ -3,6 +3,7 @@
 
 mod cubes;
 mod depth_map;
+mod extract;
 mod facing;
 mod fusion;
 mod mesh;
@@ -12,12 +13,14 @@ mod settle;
 mod textured;
 mod thin;
 mod visible;
+mod volume;
 
 pub use depth_map::DepthMap;
-pub use fusion::{FusionError, FusionOptions, fuse};
+pub use fusion::{FusionError, fuse};
 pub use mesh::{Mesh, Surface};
 pub use metrics::{GeometryErrors, compare_points};
 pub use parts::JoinedSets;
 pub use textured::TexturedMesh;
 pub use thin::thin_parts;
 pub use visible::{DepthView, seen_by};
+pub use volume::FusionOptions;

@@ -1,8 +1,8 @@
 //! The zero set of a volume of signed distances, by marching cubes.
 
-use super::{FusionBlock, FusionOptions, SIDE, VOXELS};
-use crate::geometry::Mesh;
-use crate::geometry::cubes::{EDGES, axis_of, table};
+use super::Mesh;
+use super::cubes::{EDGES, axis_of, table};
+use super::volume::{FusionBlock, FusionOptions, SIDE, VOXELS};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
