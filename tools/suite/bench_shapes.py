@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Shapes of the suite's turns against the true meshes: clouds, splat and fused mesh.
+"""Shapes of the suite's turns against the true meshes: clouds, splat and fused mesh; and the lamp.
 
     bench_shapes.py SAT_RECON SHARED --out FOLDER [NAME ...] [--quality PRESET]
 
@@ -9,7 +9,9 @@ Half A of the objects may be used to choose things, half B never.
 """
 import argparse
 import json
+import math
 import os
+import re
 import subprocess
 import sys
 import time
@@ -32,7 +34,25 @@ def run(args, capture, folder):
     code = subprocess.run(command, stdout=subprocess.DEVNULL).returncode
     evaluation = bench_suite.judge.read_json(os.path.join(out, "run.json")).get("evaluation", {})
     return {"name": capture.name, "half": capture.half, "exit_code": code, "wall_s": time.time() - begun,
-            "geometry": evaluation.get("geometry", {}), "psnr": evaluation.get("psnr")}
+            "geometry": evaluation.get("geometry", {}), "psnr": evaluation.get("psnr"), "lamp": lamp(args, capture, out)}
+
+
+def lamp(args, capture, out):
+    """Degrees to the right and above, and the deviation, of the lamp found; how far off it is."""
+    said = subprocess.run([args.sat_recon, "render", out, "-o", os.path.join(out, "relit"), "--path", "test", "--light=0,0"],
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True).stdout
+    match = re.search(r"a lamp (-?\d+)° to the camera's right and (-?\d+)° above it \(± (\d+)°\)", said)
+    if not match:
+        return None
+    right, above, deviation = map(int, match.groups())
+    a, b = (direction(*angles) for angles in ((right, above), captures.lamp_of(capture)))
+    off = math.degrees(math.acos(min(1, sum(x * y for x, y in zip(a, b)))))
+    return {"right": right, "above": above, "deviation": deviation, "off": off, "doubtful": "doubtful" in said}
+
+
+def direction(right, above):
+    a, e = math.radians(right), math.radians(above)
+    return math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)
 
 
 def thin(geometry):
@@ -50,6 +70,16 @@ def show(results):
                 print(f"| {r['name']} | {r['half']} | {name} | {g['f_score_pct']:.1f}, {g.get('f_score_half_pct', float('nan')):.1f} | "
                       f"{g['precision_pct']:.1f}, {g['recall_pct']:.1f} | {thin(g)} | {g['accuracy_mean_pct']:.3f}, "
                       f"{g['completeness_mean_pct']:.3f} | {r['wall_s']:.0f} |")
+    print("\n| capture | half | lamp, right and above | found | off by | said |")
+    print("|---|---|---|---|---|---|")
+    for r in results:
+        right, above = captures.lamp_of(captures.parse(r["name"]))
+        row, found = f"| {r['name']} | {r['half']} | {right:.0f}°, {above:.0f}°", r.get("lamp")
+        if found:
+            print(f"{row} | {found['right']}°, {found['above']}° | {found['off']:.0f}° | ± {found['deviation']}°"
+                  f"{', doubtful' if found['doubtful'] else ''} |")
+        else:
+            print(f"{row} | – | – | no lamp |")
 
 
 def main():

@@ -146,6 +146,14 @@ def light_of(capture):
     return light
 
 
+def lamp_of(capture):
+    """Degrees to the right of a camera on a tripod, and above it, from which the lamp shines."""
+    offset = float(np.linalg.norm(mount_of(capture)[:3, 3]))
+    R, _ = still_camera(capture, distance_of(capture, lens_of(capture), offset))
+    x, y, z = R @ np.array(light_of(capture)["direction"])
+    return math.degrees(math.atan2(x, -z)), math.degrees(math.asin(-y / math.hypot(x, y, z)))
+
+
 def ground_of(capture):
     """Green screen, black, or a room."""
     if capture.motion in IN_A_ROOM:
