@@ -124,11 +124,15 @@ fn write_dense(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result
     Ok(())
 }
 
-/// The photos of a run without distortion.
+/// The photos of a run without distortion; before a black sky with what its splat covers as mattes.
 fn training_set(run: &Path, progress: &Progress) -> Result<Dataset> {
     let config = crate::render::dataset_config(run);
-    crate::evaluate::load_dataset(&run.join("undistorted"), &config, progress)
-        .with_context(|| format!("{} is not the output folder of a run with a splat", run.display()))
+    let mut dataset = crate::evaluate::load_dataset(&run.join("undistorted"), &config, progress)
+        .with_context(|| format!("{} is not the output folder of a run with a splat", run.display()))?;
+    if dataset.over_black() && run.join("splat.ply").is_file() {
+        dataset.add_silhouettes(&need_splat(run)?, crate::pictures::trained_with_antialias(run)?)?;
+    }
+    Ok(dataset)
 }
 
 /// Colours of vertices weigh as much as the error of the surface where they are off by so much,

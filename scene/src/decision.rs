@@ -111,6 +111,8 @@ pub enum Subject {
     UnobservedGaussians,
     /// Removal of Gaussians outside the silhouettes.
     OutsideSilhouettes,
+    /// Whether black in the photos counts as nothing.
+    BlackSky,
     /// How far refined poses are from those given.
     RefinedPoses,
     /// Gradients that were not finite.
@@ -224,6 +226,8 @@ pub enum Remark {
     GainsConfirmed,
     /// Hardly any view has them in its image, so that nothing constrains them.
     Unobserved,
+    /// The photos have no mattes and their rims are black.
+    BlackRims,
     /// More views show background there than a silhouette allows.
     OutsideHull,
     /// Most other masks show background where they would have to be.

@@ -35,6 +35,7 @@ mod quantile;
 mod reference;
 mod render;
 pub mod simd;
+mod sky;
 pub mod statistics;
 pub mod surface;
 pub mod train;

@@ -35,6 +35,11 @@ pub(super) fn write(
 ) -> Result<()> {
     let of_parts: Vec<Gaussians> = (0..=parts.parts.len()).map(|k| of_part(gaussians, parts, k)).collect();
     let shown = shown(&of_parts, parts, &dataset, progress)?;
+    if dataset.over_black() {
+        let covered =
+            |s: &PartsView| s.meets.iter().map(|bits| if *bits > 0 { u8::MAX } else { 0 }).collect();
+        dataset.set_mattes(shown.iter().map(covered).collect());
+    }
     let poses: Vec<Pose> = dataset.views.iter().map(|v| v.pose).collect();
     let mut all = Vec::new();
     for (number, own) in of_parts.iter().enumerate() {

@@ -98,6 +98,7 @@ impl Subject {
             Self::RedundantGaussians => "Redundant Gaussians",
             Self::UnobservedGaussians => "Unobserved Gaussians",
             Self::OutsideSilhouettes => "Gaussians outside the silhouettes",
+            Self::BlackSky => "Black in the photos",
             Self::RefinedPoses => "Refined poses",
             Self::NonFiniteGradients => "Non-finite gradients",
             Self::TrainingTime => "Training time",
@@ -115,6 +116,7 @@ impl Subject {
             Self::Convergence => ["no", "yes"],
             // Without a probability: poses of the input were only compared with the photos.
             Self::Plausibility => ["not computed", "computed"],
+            Self::BlackSky => ["may be anything", "is most probably nothing"],
             _ => ["not used", "used"],
         }
     }
@@ -291,6 +293,7 @@ impl Remark {
             Self::StillImproving => "the validation views were still improving",
             Self::GainsConfirmed => "gains found earlier were checked again",
             Self::Unobserved => "hardly any view has them in its image, so nothing constrains them",
+            Self::BlackRims => "there are no mattes, and the rims of the photos are evenly black",
             Self::OutsideHull => {
                 "more than a third of the training views that have their centre in the image show \
                  background there"

@@ -110,4 +110,4 @@ fn check(config: &TrainConfig) -> Result<(), SplatError> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -9,10 +9,10 @@ use super::rules::Rules;
 use super::schedule::{GROWTH_END, Place, rates};
 use super::setup::TrainingSetup;
 use super::state::TrainingState;
-use crate::backend::{Backend, StepInput, StepOutput};
+use crate::backend::{Backend, StepInput, StepOutput, Target};
 use crate::camera::DEFAULT_NEAR;
 use crate::config::TrainConfig;
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Pixels};
 use crate::error::SplatError;
 use crate::init::initial_model;
 use crate::statistics::Statistics;
@@ -94,7 +94,11 @@ impl<'a> Session<'a> {
                 let (mut statistics, first) = (Statistics::default(), model.len);
                 statistics.reset(first);
                 backend.upload(model, statistics)?;
-                let decisions = std::iter::once(decision).chain(limit).collect();
+                let sky = setup.sky.map(|_| {
+                    let decision = Decision::new(Subject::BlackSky, true, Rule::Evidence);
+                    decision.remarked(Remark::BlackRims)
+                });
+                let decisions = std::iter::once(decision).chain(limit).chain(sky).collect();
                 let state = TrainingState { fingerprint, first, decisions, ..TrainingState::default() };
                 (state, Rules::default())
             }
@@ -148,10 +152,14 @@ impl<'a> Session<'a> {
     /// have ended.
     fn train_on_next_view(&mut self) -> Result<(usize, Vec<StepOutput>), SplatError> {
         let chosen = self.order.view(&self.setup, &self.state.place);
-        let background = self.background();
+        let sky = self.sky(chosen);
+        let background = self.background(sky.is_some());
         let (step, _) = self.context();
         let (setup, steps, level) = (step.setup, step.expected_steps(), step.level());
-        let (camera, target) = step.photo(chosen, level);
+        let (camera, mut target) = step.photo(chosen, level);
+        if let Some(Pixels { rgb, mask, .. }) = &sky {
+            target = Target { rgb, mask: mask.as_deref(), transparent: true, photo: None };
+        }
         step.backend.set_gain(step.gain(chosen));
         let outputs = step.backend.advance(&StepInput {
             view: &camera,
@@ -163,11 +171,19 @@ impl<'a> Session<'a> {
         Ok((chosen, outputs))
     }
 
+    /// A view's photo with a matte, in steps in which what is behind a black sky shows through.
+    fn sky(&self, view: usize) -> Option<Pixels> {
+        let place = &self.state.place;
+        let sky = self.setup.sky?;
+        let shows = sky.shows(self.setup.config.seed, u64::from(place.iteration));
+        shows.then(|| sky.matted(self.setup.photo(view, place.level(self.setup.config.coarse_levels)).0))
+    }
+
     /// A random colour where the background shows through, else black.
-    fn background(&self) -> [f32; 3] {
+    fn background(&self, shows: bool) -> [f32; 3] {
         let iteration = u64::from(self.state.place.iteration);
         let mut rng = scene::rng::rng(self.setup.config.seed, "background", iteration);
-        if self.setup.dataset.is_transparent() {
+        if shows || self.setup.dataset.is_transparent() {
             std::array::from_fn(|_| rng.random_range(0.0..1.0))
         } else {
             [0.0; 3]

@@ -6,6 +6,7 @@ use crate::dataset::{Dataset, LEVELS, Pixels, shrink};
 use crate::error::SplatError;
 use crate::footprint::footprint;
 use crate::hull::VisualHull;
+use crate::sky::BlackSky;
 use rayon::prelude::*;
 
 /// One training view in this many judges while Gaussians and degrees are added, and is trained on
@@ -32,6 +33,8 @@ pub(crate) struct TrainingSetup<'a> {
     pub(crate) pixel: f32,
     /// What the mattes leave room for, where the background shows through.
     pub(crate) hull: Option<VisualHull>,
+    /// What is behind everything, where no masks say it.
+    pub(crate) sky: Option<BlackSky>,
     /// The photos of the level in use.
     coarse: CoarsePhotos,
 }
@@ -58,9 +61,10 @@ impl<'a> TrainingSetup<'a> {
         let cloud_points = crate::init::cloud_points(dataset).filter(|_| validation.is_empty());
         let matted = views.iter().filter(|_| dataset.is_transparent()).map(|&v| &dataset.views[v]);
         let hull = VisualHull::of(matted);
+        let sky = BlackSky::of(views.iter().map(|&v| &dataset.views[v]));
         let pixel = footprint(dataset);
         let coarse = CoarsePhotos::default();
-        Ok(Self { dataset, config, views, validation, cloud_points, max_gaussians, pixel, hull, coarse })
+        Ok(Self { dataset, config, views, validation, cloud_points, max_gaussians, pixel, hull, sky, coarse })
     }
 
     /// Makes the photos of a level, in place of those of the one before.
