@@ -50,7 +50,7 @@ struct LampSearch {
     steps: [f64; 2],
     /// What the jackknife's deviation is multiplied by, and what is added to it (degrees, root of the
     /// sum of squares): light that faces throw at each other bends what all parts say. Source:
-    /// docs/decisions/23: four satellites; three others judged it.
+    /// docs/decisions/23: eight films, one of them unseen.
     shared: [f64; 2],
 }
 

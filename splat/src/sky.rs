@@ -24,7 +24,7 @@ struct SkyLimits {
     share: f64,
     /// Times that photos are halved until noise is gone. Source: derived: 64 pixels are one.
     halvings: u32,
-    /// Levels by which the rims may differ then. Source: docs/decisions/13: skies 1, a dark room 8.
+    /// Levels by which the rims may differ then. Source: docs/decisions/24: skies 1, a dark room 8.
     uneven: u8,
     /// Highest level of a black sky, of 255. Source: chosen by hand: noise of a black frame is
     /// less; walls in a dark room are lighter in good light.
@@ -34,7 +34,7 @@ struct SkyLimits {
     /// Pixels to either side in which edges are mixed with what is behind. Source: derived: those of
     /// a sharp picture are one pixel wide, of a coded one two.
     reach: usize,
-    /// Share of the steps in which it is see-through. Source: docs/decisions/13.
+    /// Share of the steps in which it is see-through. Source: docs/decisions/24.
     steps: f64,
 }
 

@@ -6,9 +6,11 @@ use crate::evaluate;
 use crate::record::{Evaluation, KnownRun};
 use anyhow::{Context, Result};
 use glam::DVec3;
-use scene::{FrameSet, Progress, Reconstruction};
+use scene::sim3::Sim3;
+use scene::{FrameSet, Gaussians, Pose, Progress, Reconstruction};
 use sfm::{Articulation, MovingPart};
 use splat::{Dataset, Joint, MovingParts};
+use std::ops::Range;
 use std::path::Path;
 
 /// What was found: the frames, the corrected model, and the parts.
@@ -33,10 +35,11 @@ impl PartsTraining<'_> {
         let moving = self.moving(&dataset);
         dataset.articulate(moving, &self.parts.parts.iter().map(places_of).collect::<Vec<_>>());
         let checkpoints = folder.join(".train");
-        let result = splat::train(&dataset, &config.train, Some(&checkpoints), progress)?;
-        scene::io::ply::write_splat_ply(&folder.join("splat.ply"), &result.gaussians)?;
+        let mut result = splat::train(&dataset, &config.train, Some(&checkpoints), progress)?;
         let moved = result.moving.context("training forgot the parts")?;
         self.refined(&dataset, moved);
+        self.rest_in_the_first_frame(&mut result.gaussians);
+        scene::io::ply::write_splat_ply(&folder.join("splat.ply"), &result.gaussians)?;
         record::write(folder, self.parts)?;
         std::fs::remove_dir_all(&checkpoints).ok();
         // Training had no use for the photos of views that are held out; surfaces have.
@@ -48,6 +51,17 @@ impl PartsTraining<'_> {
         meshes::write(&folder.join("parts.glb"), shape, dataset, &times, fine)?;
         let judged = EvalConfig { lpips_weights: Vec::new(), fps_loops, mesh };
         evaluate::evaluate(folder, folder, &config.dataset, &judged, &config.train.device, progress)
+    }
+
+    /// Angles count from the first frame, where the parts are at rest: photos change that one, too.
+    fn rest_in_the_first_frame(&mut self, gaussians: &mut Gaussians) {
+        let mut end = self.parts.gaussians.first().copied().unwrap_or(0);
+        for (part, count) in self.parts.parts.iter_mut().zip(self.parts.gaussians.iter().skip(1)) {
+            let (first, own) = (part.angles_deg.first().copied().unwrap_or(0.0), end..end + count);
+            end = own.end;
+            move_some(gaussians, own, &part.pose(first));
+            part.angles_deg.iter_mut().for_each(|angle| *angle -= first);
+        }
     }
 
     /// The parts as the views of the data set have them.
@@ -77,6 +91,17 @@ impl PartsTraining<'_> {
             }
         }
     }
+}
+
+/// The Gaussians of a range moved by a pose.
+fn move_some(all: &mut Gaussians, range: Range<usize>, pose: &Pose) {
+    let mut some = all.clone();
+    some.retain(|i| range.contains(&i));
+    some.transform(&Sim3 { scale: 1.0, rotation: pose.rotation, translation: pose.translation });
+    let each = all.sh.len().checked_div(all.len()).unwrap_or(0);
+    all.sh[each * range.start..each * range.end].copy_from_slice(&some.sh);
+    all.rotations[range.clone()].copy_from_slice(&some.rotations);
+    all.means[range].copy_from_slice(&some.means);
 }
 
 /// The joint of a part, as views have it that are frames of these numbers.

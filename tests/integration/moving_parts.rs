@@ -67,6 +67,7 @@ fn a_part_is_found_by_its_turn_and_a_splat_of_parts_shows_what_a_rigid_one_canno
     assert_eq!(parts.len(), 1, "{said}");
     let angles: Vec<f64> =
         parts[0]["angles_deg"].as_array().unwrap().iter().map(|a| a.as_f64().unwrap()).collect();
+    assert_eq!(angles[0], 0.0, "angles count from the first frame");
     let turned = (angles[angles.len() - 1] - angles[0]).abs();
     let true_turn = TURN_DEG * f64::from(FRAMES - 1) / f64::from(FRAMES);
     assert!((turned - true_turn).abs() < 2.0, "{turned} of {true_turn}");
