@@ -9,9 +9,9 @@ use glam::DVec3;
 use scene::geometry::Mesh;
 use scene::io::ply::OrientedPoint;
 use scene::{Gaussians, PosedPhoto, Progress};
-use splat::Dataset;
 use splat::fusion::{DepthSource, MeasuredDepth, fused_mesh};
 use splat::surface::median_depth;
+use splat::{Dataset, RenderOptions, Renderer};
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
 use std::path::Path;
@@ -35,6 +35,20 @@ pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Resu
         let _ = write(&kept, &key, &depths);
     }
     Ok(depths)
+}
+
+/// The photos with mattes, where they have none and a black sky: what the splat (with whether it
+/// was trained with antialiasing) covers.
+pub(crate) fn with_silhouettes(
+    dataset: &Dataset,
+    (gaussians, antialias): (&Gaussians, bool),
+) -> Result<Option<Dataset>> {
+    let mut renderer = Renderer::new(gaussians)?;
+    renderer.antialias = antialias;
+    dataset.with_silhouettes(|view| {
+        let picture = renderer.render(&view.camera, &view.pose, &RenderOptions::default())?;
+        Ok(picture.alpha.data.iter().map(|a| (a * 255.0).round() as u8).collect())
+    })
 }
 
 /// Gaussians nearer to a camera than this share of their median distance are not seen. Source: as

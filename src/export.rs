@@ -127,12 +127,14 @@ fn write_dense(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result
 /// The photos of a run without distortion; before a black sky with what its splat covers as mattes.
 fn training_set(run: &Path, progress: &Progress) -> Result<Dataset> {
     let config = crate::render::dataset_config(run);
-    let mut dataset = crate::evaluate::load_dataset(&run.join("undistorted"), &config, progress)
+    let dataset = crate::evaluate::load_dataset(&run.join("undistorted"), &config, progress)
         .with_context(|| format!("{} is not the output folder of a run with a splat", run.display()))?;
-    if dataset.over_black() && run.join("splat.ply").is_file() {
-        dataset.add_silhouettes(&need_splat(run)?, crate::pictures::trained_with_antialias(run)?)?;
+    if !run.join("splat.ply").is_file() {
+        return Ok(dataset);
     }
-    Ok(dataset)
+    let antialias = crate::pictures::trained_with_antialias(run)?;
+    let matted = dense::with_silhouettes(&dataset, (&need_splat(run)?, antialias))?;
+    Ok(matted.unwrap_or(dataset))
 }
 
 /// Colours of vertices weigh as much as the error of the surface where they are off by so much,

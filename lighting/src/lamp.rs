@@ -10,8 +10,8 @@ use rayon::prelude::*;
 pub struct Lamp {
     /// Unit, from the object to the lamp, camera frame (x right, y down, z forwards).
     pub towards: DVec3,
-    /// Standard deviation of the direction, degrees: jackknife over eight parts of the object, and what
-    /// is wrong with the model in all of them alike.
+    /// Standard deviation of the direction, degrees: jackknife over eight parts of the object, and
+    /// what is wrong with the model in all of them alike.
     pub deviation_deg: f64,
     /// Light from everywhere, as a share of the lamp's.
     pub ambient: f64,
@@ -48,8 +48,8 @@ struct LampSearch {
     starts: usize,
     /// First and last step of the search, radians. Source: half of 12°; a third of a degree.
     steps: [f64; 2],
-    /// What the jackknife's deviation is multiplied by, and what is added to it (degrees, root of the
-    /// sum of squares): light that faces throw at each other bends what all parts say. Source:
+    /// What the jackknife's deviation is multiplied by, and what is added to it (degrees, root of
+    /// the sum of squares): light that faces throw at each other bends what all parts say. Source:
     /// docs/decisions/23: eight films, one of them unseen.
     shared: [f64; 2],
 }

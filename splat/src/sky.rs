@@ -1,19 +1,15 @@
 //! A black sky without mattes: where a photo is black, most probably nothing is.
 //!
-//! Over black the photos do not tell a black surface from nothing, and what no photo pulls at stays:
-//! black fog around the object, which hides it from behind any other background and has depths. So
+//! Over black the photos do not tell a black surface from nothing, and what no photo pulls at
+//! stays: black fog around the object, which shows before any other background and has depths. So
 //! black pixels are now and then taken for see-through, and a random colour shows through them. A
-//! surface that is black in one view and lit in others stays, since most steps speak for it; so does
-//! one that is seen before another, which would show.
+//! surface that is black in one view and lit in others stays, since most steps speak for it; so
+//! does one that is seen before another, which would show.
 //!
 //! What is left covers the object, its dark sides too: mattes for its shape.
 
 use crate::dataset::{Dataset, Pixels, View, pyramid, shrink};
-use crate::error::SplatError;
-use crate::render::Renderer;
-use crate::view::RenderOptions;
 use rand::Rng as _;
-use scene::Gaussians;
 
 /// What is a black sky, and how often it is see-through.
 struct SkyLimits {
@@ -27,12 +23,12 @@ struct SkyLimits {
     /// Levels by which the rims may differ then. Source: docs/decisions/24: skies 1, a dark room 8.
     uneven: u8,
     /// Highest level of a black sky, of 255. Source: chosen by hand: noise of a black frame is
-    /// less; walls in a dark room are lighter in good light.
+    /// less.
     highest: u8,
     /// Levels above that are black as well: noise beyond the share. Source: chosen by hand.
     noise: u8,
-    /// Pixels to either side in which edges are mixed with what is behind. Source: derived: those of
-    /// a sharp picture are one pixel wide, of a coded one two.
+    /// Pixels to either side in which edges are mixed with what is behind. Source: derived: those
+    /// of a sharp picture are one pixel wide, of a coded one two.
     reach: usize,
     /// Share of the steps in which it is see-through. Source: docs/decisions/24.
     steps: f64,
@@ -117,34 +113,22 @@ fn over_window(values: &[u8], width: usize, of: fn(u8, u8) -> u8) -> Vec<u8> {
 }
 
 impl Dataset {
-    /// Whether the photos have no masks and a black sky.
-    pub fn over_black(&self) -> bool {
-        BlackSky::of(self.views.iter()).is_some()
-    }
-
-    /// Gives photos without masks before a black sky mattes: what a splat that was trained on them
-    /// covers.
-    pub fn add_silhouettes(&mut self, gaussians: &Gaussians, antialias: bool) -> Result<(), SplatError> {
-        if !self.over_black() {
-            return Ok(());
+    /// With mattes where the photos have none and a black sky: what `cover` says is covered in a
+    /// view, [height × width] of full resolution, white: all. None where there is no such sky.
+    pub fn with_silhouettes<E>(
+        &self,
+        mut cover: impl FnMut(&View) -> Result<Vec<u8>, E>,
+    ) -> Result<Option<Self>, E> {
+        if BlackSky::of(self.views.iter()).is_none() {
+            return Ok(None);
         }
-        let mut renderer = Renderer::new(gaussians)?;
-        renderer.antialias = antialias;
-        let covered = |view: &View| {
-            let picture = renderer.render(&view.camera, &view.pose, &RenderOptions::default())?;
-            Ok(picture.alpha.data.iter().map(|a| (a * 255.0).round() as u8).collect())
-        };
-        let mattes: Result<_, SplatError> = self.views.iter().map(covered).collect();
-        self.set_mattes(mattes?);
-        Ok(())
-    }
-
-    /// Gives the views mattes, [height × width] of full resolution: where they are black nothing is.
-    pub fn set_mattes(&mut self, mattes: Vec<Vec<u8>>) {
-        for (view, matte) in self.views.iter_mut().zip(mattes) {
+        let mut out = self.clone();
+        for view in &mut out.views {
+            let mask = Some(cover(view)?);
             let full = view.levels.drain(..).next().unwrap_or_default();
-            view.levels = pyramid(Pixels { mask: Some(matte), ..full });
+            view.levels = pyramid(Pixels { mask, ..full });
         }
+        Ok(Some(out))
     }
 }
 

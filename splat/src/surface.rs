@@ -150,19 +150,6 @@ fn half_way(projected: &[Option<Projected>], list: &[u32], p: DVec2) -> Option<u
     None
 }
 
-/// The points of a depth map, world frame.
-pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVec3> {
-    let width = camera.width as usize;
-    let world_from_cam = pose.inverse();
-    let seen = depth.iter().enumerate().filter_map(|(i, z)| Some((i, (*z)?)));
-    seen.map(|(i, z)| {
-        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-        let ray = (pixel - camera.principal_point()) / camera.focal();
-        world_from_cam.transform(ray.extend(1.0) * z)
-    })
-    .collect()
-}
-
 /// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of
 /// some view that has them in its frame. Held-out views count too. `None` where no view has a mask,
 /// or nothing is opaque.
@@ -209,6 +196,7 @@ mod tests {
     use glam::{Quat, Vec3};
     use rand::Rng;
     use scene::CameraModel;
+    use scene::geometry::points_of;
 
     fn cloud(seed: u64, n: usize) -> Gaussians {
         let mut r = scene::rng::rng(seed, "surface", 0);

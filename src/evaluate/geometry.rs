@@ -8,14 +8,13 @@ use crate::record::{PoseSummary, ShapeEvaluation};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use glam::DVec3;
-use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by, thin_parts};
+use scene::geometry::{GeometryErrors, Mesh, compare_points, points_of, seen_by, thin_parts};
 use scene::io::ply::OrientedPoint;
 use scene::sim3::{Sim3, robust_alignment};
 use scene::{Camera, Gaussians, Pose, Progress, Reconstruction};
 use splat::Dataset;
 use splat::fusion::DEFAULT_RESOLUTION;
-use splat::surface::{median_depth, outside_hull, points_of};
-use std::borrow::Cow;
+use splat::surface::{median_depth, outside_hull};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -129,11 +128,8 @@ pub fn measure(
     let voxel = VOXEL_PCT / 100.0 * size / mesh_from_model.scale;
     let splat = judge(surface_points(&views, (gaussians, antialias), voxel, progress)?);
     let from = config.mesh_depths;
-    let mut matted = Cow::Borrowed(dataset);
-    if dataset.over_black() {
-        matted.to_mut().add_silhouettes(gaussians, antialias)?;
-    }
-    let dataset = &*matted;
+    let matted = dense::with_silhouettes(dataset, (gaussians, antialias))?;
+    let dataset = matted.as_ref().unwrap_or(dataset);
     let depths = if from.by_stereo() { Some(dense::depths(out, dataset, progress)?) } else { None };
     let dense = judge(depths.as_ref().map_or(Vec::new(), |d| some_points(&dense::cloud(d, dataset))));
     let by_splat = from.by_splat().then_some((gaussians, antialias));

@@ -2,7 +2,7 @@
 
 use super::record::labels;
 use crate::dense;
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use glam::DVec3;
 use scene::io::{Hinge, MovingMesh};
 use scene::{Gaussians, Pose, Progress};
@@ -35,11 +35,9 @@ pub(super) fn write(
 ) -> Result<()> {
     let of_parts: Vec<Gaussians> = (0..=parts.parts.len()).map(|k| of_part(gaussians, parts, k)).collect();
     let shown = shown(&of_parts, parts, &dataset, progress)?;
-    if dataset.over_black() {
-        let covered =
-            |s: &PartsView| s.meets.iter().map(|bits| if *bits > 0 { u8::MAX } else { 0 }).collect();
-        dataset.set_mattes(shown.iter().map(covered).collect());
-    }
+    let mut covers = shown.iter().map(|s| s.meets.iter().map(|m| if *m > 0 { u8::MAX } else { 0 }).collect());
+    let matted = dataset.with_silhouettes(|_| covers.next().context("a view is new"))?;
+    dataset = matted.unwrap_or(dataset);
     let poses: Vec<Pose> = dataset.views.iter().map(|v| v.pose).collect();
     let mut all = Vec::new();
     for (number, own) in of_parts.iter().enumerate() {

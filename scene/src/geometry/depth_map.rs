@@ -32,3 +32,16 @@ impl DepthMap<'_> {
         (z > 0.0 && z.is_finite()).then(|| world_from_cam.transform(ray.extend(1.0) * z))
     }
 }
+
+/// The points of a depth map, world frame.
+pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVec3> {
+    let width = camera.width as usize;
+    let world_from_cam = pose.inverse();
+    let seen = depth.iter().enumerate().filter_map(|(i, z)| Some((i, (*z)?)));
+    seen.map(|(i, z)| {
+        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let ray = (pixel - camera.principal_point()) / camera.focal();
+        world_from_cam.transform(ray.extend(1.0) * z)
+    })
+    .collect()
+}

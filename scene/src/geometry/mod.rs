@@ -15,7 +15,7 @@ mod thin;
 mod visible;
 mod volume;
 
-pub use depth_map::DepthMap;
+pub use depth_map::{DepthMap, points_of};
 pub use fusion::{FusionError, fuse};
 pub use mesh::{Mesh, Surface};
 pub use metrics::{GeometryErrors, compare_points};
