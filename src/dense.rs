@@ -43,9 +43,13 @@ pub(crate) fn with_silhouettes(
     dataset: &Dataset,
     (gaussians, antialias): (&Gaussians, bool),
 ) -> Result<Option<Dataset>> {
-    let mut renderer = Renderer::new(gaussians)?;
-    renderer.antialias = antialias;
+    let mut made = None;
     dataset.with_silhouettes(|view| {
+        let renderer = match &mut made {
+            Some(renderer) => renderer,
+            none => none.insert(Renderer::new(gaussians)?),
+        };
+        renderer.antialias = antialias;
         let picture = renderer.render(&view.camera, &view.pose, &RenderOptions::default())?;
         Ok(picture.alpha.data.iter().map(|a| (a * 255.0).round() as u8).collect())
     })
