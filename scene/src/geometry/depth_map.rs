@@ -26,22 +26,21 @@ impl DepthMap<'_> {
     /// The point measured at pixel `i`, world frame.
     pub fn point(&self, i: usize, world_from_cam: &Pose) -> Option<DVec3> {
         let z = f64::from(self.depth[i]);
-        let width = self.camera.width as usize;
-        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-        let ray = (pixel - self.camera.principal_point()) / self.camera.focal();
-        (z > 0.0 && z.is_finite()).then(|| world_from_cam.transform(ray.extend(1.0) * z))
+        (z > 0.0 && z.is_finite()).then(|| unprojected(&self.camera, i, z, world_from_cam))
     }
 }
 
 /// The points of a depth map, world frame.
 pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVec3> {
-    let width = camera.width as usize;
     let world_from_cam = pose.inverse();
     let seen = depth.iter().enumerate().filter_map(|(i, z)| Some((i, (*z)?)));
-    seen.map(|(i, z)| {
-        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-        let ray = (pixel - camera.principal_point()) / camera.focal();
-        world_from_cam.transform(ray.extend(1.0) * z)
-    })
-    .collect()
+    seen.map(|(i, z)| unprojected(camera, i, z, &world_from_cam)).collect()
+}
+
+/// Where pixel `i` of a camera without distortion is at a depth, world frame.
+fn unprojected(camera: &Camera, i: usize, z: f64, world_from_cam: &Pose) -> DVec3 {
+    let width = camera.width as usize;
+    let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+    let ray = (pixel - camera.principal_point()) / camera.focal();
+    world_from_cam.transform(ray.extend(1.0) * z)
 }
