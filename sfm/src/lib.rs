@@ -45,7 +45,9 @@ pub mod two_view;
 mod undistort;
 mod upright;
 
-pub use articulated::{Articulation, MovingPart, frame_times, moving_parts};
+pub use articulated::{
+    Articulation, LooseJoint, LoosePiece, MovingPart, frame_times, loose_joints, moving_parts,
+};
 pub use circular::{Motion, MotionConfig};
 pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;

@@ -1,11 +1,15 @@
 //! The images in memory and the normalised frame in which the trainer works.
 
+pub(crate) mod joint;
+
+pub(crate) use joint::{Joint, JointPlace};
+
 use crate::error::SplatError;
-use crate::parts::{MOST_PARTS, PartPlace, PartPlaces, PartPull};
+use crate::parts::{MOST_PARTS, PartPlace, PartPlaces};
 use crate::quantile::median;
 use crate::view::{PinholeView, level_size};
 use clap::{Args, ValueEnum};
-use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
+use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use scene::{Camera, CameraModel, Gaussians, PosedImage, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
@@ -147,20 +151,6 @@ pub struct NormalisedFrame {
     pub scale: f64,
 }
 
-/// A joint: the part turns about an axis, by an angle in each view. World frame for data sets and
-/// results, else that of the Gaussians.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Joint {
-    /// Direction of the axis, unit.
-    pub axis: DVec3,
-    /// A place on it.
-    pub place: DVec3,
-    /// Radians, by view; 0 at rest.
-    pub angles: Vec<f64>,
-    /// Standard deviations of these.
-    pub sigmas: Vec<f64>,
-}
-
 /// What moves in a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MovingParts {
@@ -174,29 +164,10 @@ pub struct MovingParts {
     pub gaussians: Vec<usize>,
 }
 
-impl Joint {
-    /// dL/d(angle) from what pulls at the part where a camera stands there (frame of the part at
-    /// rest).
-    pub(crate) fn slope(&self, pull: &PartPull, camera: Vec3) -> f64 {
-        let [force, torque, colour] =
-            [pull.force, pull.torque, pull.colour].map(|v| Vec3::from(v).as_dvec3());
-        let turned = torque - self.place.cross(force);
-        // The part turns below the camera: its colours are seen as if the camera turned back.
-        self.axis.dot(turned + (camera.as_dvec3() - self.place).cross(colour))
-    }
-
-    /// Where the part stands at an angle, radians.
-    pub(crate) fn place_at(&self, angle: f64) -> PartPlace {
-        let rotation = DQuat::from_axis_angle(self.axis, angle);
-        let translation = self.place - rotation * self.place;
-        PartPlace { rotation: Mat3::from_quat(rotation.as_quat()), translation: translation.as_vec3() }
-    }
-}
-
 impl MovingParts {
     /// Where the parts stand in a view where the angles are these, one for each joint.
     pub(crate) fn places(&self, angles: impl Iterator<Item = f64>) -> PartPlaces {
-        self.joints.iter().zip(angles).map(|(joint, angle)| joint.place_at(angle)).collect()
+        self.joints.iter().zip(angles).map(|(joint, angle)| joint.at().place_at(angle)).collect()
     }
 }
 
@@ -259,6 +230,7 @@ impl Dataset {
         moving.of_points = vec![0; self.points.len()];
         for (part, (joint, points)) in (1..).zip(moving.joints.iter_mut().zip(points)) {
             joint.place = self.normalisation.point(joint.place).as_dvec3();
+            joint.unsure[1] *= self.normalisation.scale;
             self.points.extend(points.iter().map(|&x| (self.normalisation.point(x), GREY)));
             moving.of_points.resize(self.points.len(), part);
         }

@@ -44,7 +44,7 @@ mod view;
 pub use adapter::{Adapter, AdapterKind};
 pub use config::{PoseRefinement, Quality, TrainConfig};
 pub use dataset::{
-    AlphaMode, Dataset, DatasetConfig, Joint, MovingParts, NormalisedFrame, Pixels, View, pyramid,
+    AlphaMode, Dataset, DatasetConfig, MovingParts, NormalisedFrame, Pixels, View, joint::Joint, pyramid,
 };
 pub use device::{BackendChoice, DeviceConfig, adapters};
 pub use error::SplatError;

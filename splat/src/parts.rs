@@ -129,6 +129,7 @@ mod tests {
             place,
             angles: Vec::new(),
             sigmas: Vec::new(),
+            unsure: [0.0; 2],
         };
         vec![
             joint(DVec3::new(0.2, 1.0, 0.1), DVec3::new(0.3, 0.0, 0.1)),
@@ -152,7 +153,12 @@ mod tests {
 
     /// The same Gaussians where angles put them, turned one by one.
     fn moved(gaussians: &Gaussians, parts: &[u8], angles: [f64; 2]) -> Gaussians {
-        let motions: Vec<Sim3> = joints()
+        moved_on(&joints(), gaussians, parts, angles)
+    }
+
+    /// The same on other joints.
+    fn moved_on(joints: &[Joint], gaussians: &Gaussians, parts: &[u8], angles: [f64; 2]) -> Gaussians {
+        let motions: Vec<Sim3> = joints
             .iter()
             .zip(angles)
             .map(|(joint, angle)| {
@@ -181,7 +187,7 @@ mod tests {
     }
 
     fn places() -> PartPlaces {
-        joints().iter().zip(ANGLES).map(|(joint, angle)| joint.place_at(angle)).collect()
+        joints().iter().zip(ANGLES).map(|(joint, angle)| joint.at().place_at(angle)).collect()
     }
 
     #[test]
@@ -249,17 +255,52 @@ mod tests {
             let (more, less) = (change(1e-2), change(-1e-2));
             let moves = more.iter().zip(&less).map(|(a, b)| (a - b) / 2e-2);
             let truth: f64 = gradient.iter().zip(moves).map(|(g, m)| g * m).sum();
-            let slope = joints()[k].slope(&ours[k], camera.of_part(k as u8 + 1).position());
+            let slope = joints()[k].at().slope(&ours[k], camera.of_part(k as u8 + 1).position());
             assert!((slope - truth).abs() < 2e-3 * truth.abs() + 1e-3, "{k}: {slope} {truth}");
+        }
+    }
+
+    #[test]
+    fn the_slopes_of_an_axis_and_a_place_are_what_gradients_say_of_gaussians_that_follow_them() {
+        let (gaussians, parts) = scene();
+        let mut rng = scene::rng::rng(6, "slope", 0);
+        let picture: Vec<f32> = (0..64 * 48 * 3).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let options = RenderOptions::default();
+        let camera = view(places());
+        let ours = backend(&gaussians, &parts).gradients(&camera, &options, &picture).pulls;
+        let still = view(PartPlaces::NONE);
+        let here = backend(&moved(&gaussians, &parts, ANGLES), &[]).gradients(&still, &options, &picture);
+        let gradient = numbers(&here.geometry, &here.sh);
+        let hinge = joints()[0].at();
+        let slopes = hinge.slopes(ANGLES[0], &ours[0], camera.of_part(1).position());
+        for along in [DVec3::new(0.3, -0.1, 0.7), DVec3::new(-0.5, 0.1, 0.2)] {
+            let across = along.reject_from_normalized(hinge.axis).normalize();
+            let place = |by: f64| [hinge.axis, hinge.place + by * across];
+            let axis = |by: f64| [(hinge.axis + by * across).normalize(), hinge.place];
+            for (k, [more, less]) in
+                [[axis(1e-2), axis(-1e-2)], [place(1e-2), place(-1e-2)]].into_iter().enumerate()
+            {
+                let model = |[axis, place]: [DVec3; 2]| {
+                    let mut all = joints();
+                    (all[0].axis, all[0].place) = (axis, place);
+                    let model = Model::from_gaussians(&moved_on(&all, &gaussians, &parts, ANGLES));
+                    numbers(&model.geometry, &model.sh)
+                };
+                let (more, less) = (model(more), model(less));
+                let moves = more.iter().zip(&less).map(|(a, b)| (a - b) / 2e-2);
+                let truth: f64 = gradient.iter().zip(moves).map(|(g, m)| g * m).sum();
+                let slope = slopes[k].dot(across);
+                assert!((slope - truth).abs() < 5e-3 * truth.abs() + 5e-3, "{k}: {slope} {truth}");
+            }
         }
     }
 
     #[test]
     fn more_parts_than_there_may_be_are_dropped_and_unknown_ones_stand_still() {
         let joint = &joints()[0];
-        let many: PartPlaces = (0..9).map(|k| joint.place_at(f64::from(k))).collect();
+        let many: PartPlaces = (0..9).map(|k| joint.at().place_at(f64::from(k))).collect();
         assert_eq!(many.len(), MOST_PARTS);
-        assert_eq!(many.of(4), joint.place_at(3.0));
+        assert_eq!(many.of(4), joint.at().place_at(3.0));
         assert_eq!([many.of(0), many.of(5), PartPlaces::NONE.of(1)], [PartPlace::REST; 3]);
     }
 }

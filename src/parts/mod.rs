@@ -4,6 +4,7 @@
 mod meshes;
 mod posed;
 mod record;
+mod search;
 mod splat;
 
 pub(crate) use posed::MovingSplat;
@@ -50,6 +51,10 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     };
     found.poses_probability = sure;
     let folder = args.output.clone().unwrap_or_else(|| run.join(FOLDER));
+    // Whatever wrong poses do looks like a motion to photos.
+    if found.parts.is_empty() && sure >= 1.0 {
+        found.parts.extend(search::part_from_photos(run, &folder, &frames, &corrected, &progress)?);
+    }
     let sparse = folder.join("sparse/0");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     scene::io::write_model_bin(&corrected, &sparse)?;
@@ -112,17 +117,21 @@ fn sentence(part: &MovingPart) -> String {
         .angles_deg
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), a| (least.min(*a), most.max(*a)));
+    let found = match part.gain_db {
+        Some(gain) => format!("found by photos, which it explains {gain:.2} dB better"),
+        None => format!(
+            "{} tracks, {:.2} px (as the body {:.1} px)",
+            part.tracks, part.error_px, part.still_error_px
+        ),
+    };
     format!(
         "turns by {:.1}° (± {widest:.1}°) about ({x:.3}, {y:.3}, {z:.3}) ± {:.2}° through \
-         ({:.4}, {:.4}, {:.4}) ± {:.4}; {} tracks, {:.2} px (as the body {:.1} px)",
+         ({:.4}, {:.4}, {:.4}) ± {:.4}; {found}",
         most - least,
         part.axis_sigma_deg,
         part.place[0],
         part.place[1],
         part.place[2],
-        part.place_sigma,
-        part.tracks,
-        part.error_px,
-        part.still_error_px
+        part.place_sigma
     )
 }

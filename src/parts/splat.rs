@@ -81,6 +81,7 @@ impl PartsTraining<'_> {
         self.parts.gaussians = found.gaussians;
         self.parts.parts.truncate(found.joints.len());
         for (part, joint) in self.parts.parts.iter_mut().zip(&found.joints) {
+            (part.axis, part.place) = (joint.axis.to_array(), joint.place.to_array());
             for (view, angle) in joint.angles.iter().enumerate() {
                 let Some(frame) = self.parts.frames.iter().position(|f| *f == dataset.views[view].name)
                 else {
@@ -111,6 +112,7 @@ fn joint(part: &MovingPart, frames: &[Option<usize>]) -> Joint {
         place: DVec3::from(part.place),
         angles: by_view(&part.angles_deg, frames),
         sigmas: by_view(&part.angle_sigmas_deg, frames),
+        unsure: [part.axis_sigma_deg.to_radians(), part.place_sigma],
     }
 }
 

@@ -13,6 +13,7 @@ mod fit;
 mod grow;
 mod joint;
 mod limits;
+mod loose;
 mod normal;
 mod part;
 mod posed;
@@ -23,6 +24,7 @@ mod tests;
 mod tracks;
 mod unit;
 
+pub use loose::{LooseJoint, LoosePiece, loose_joints};
 pub use part::{Articulation, MovingPart};
 
 use crate::error::SfmError;

@@ -7,7 +7,7 @@ use scene::Pose;
 use serde::{Deserialize, Serialize};
 
 /// A part that turns on a joint.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct MovingPart {
     /// Direction of the axis, unit, model frame; a positive angle is counter-clockwise about it.
     pub axis: [f64; 3],
@@ -31,6 +31,10 @@ pub struct MovingPart {
     pub still_error_px: f64,
     /// Points of the part as it is in the first frame, model frame.
     pub points: Vec<[f64; 3]>,
+    /// How much better photos are explained than without it, dB, where photos found it; then it
+    /// has no tracks.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gain_db: Option<f64>,
 }
 
 /// What was found out about the parts of an object.
@@ -103,6 +107,7 @@ impl MovingPart {
             error_px: rms(&found.iter().map(|(_, e)| *e).collect::<Vec<f64>>()),
             still_error_px: rms(&still),
             points: found.iter().map(|(x, _)| x.to_array()).collect(),
+            gain_db: None,
         }
     }
 }

@@ -34,10 +34,10 @@ impl RuleContext<'_> {
     /// Camera and pose of a view as training sees it now.
     pub(crate) fn camera(&self, view: usize) -> PinholeView {
         let mut given = self.setup.dataset.views[view].view;
-        if let Some(moving) = &self.setup.dataset.articulation
-            && !self.state.corrections.joints.is_empty()
-        {
-            given.parts = moving.places(self.state.corrections.joints.iter().map(|[angles, _]| angles[view]));
+        let corrections = &self.state.corrections;
+        if !corrections.joints.is_empty() {
+            let joints = corrections.hinges.iter().zip(&corrections.joints);
+            given.parts = joints.map(|(hinge, [angles, _])| hinge.place_at(angles[view])).collect();
         }
         let place = self.setup.views.binary_search(&view).ok();
         place.and_then(|p| self.state.corrections.poses.get(p)).map_or(given, |p| PinholeView {

@@ -44,6 +44,7 @@ fn captured(wrong_deg: f64) -> Dataset {
         place: DVec3::ZERO,
         angles: (0..VIEWS).map(true_angle).collect(),
         sigmas: vec![0.1; VIEWS],
+        unsure: [0.0; 2],
     };
     let mut moving = MovingParts {
         joints: vec![joint],
@@ -117,4 +118,19 @@ fn a_scene_that_moves_is_learnt_as_well_as_one_that_stands_still() {
     };
     let (moving, still) = (psnr(&mut renderer, true), psnr(&mut renderer, false));
     assert!(moving > 27.0 && moving > still + 5.0, "{moving:.2} dB moving, {still:.2} dB at rest");
+}
+
+#[test]
+fn an_axis_that_was_wrong_is_turned_as_far_as_its_deviation_lets_it() {
+    let off_deg = |sigma_deg: f64| {
+        let mut dataset = captured(0.0);
+        let mut moving = dataset.articulation.take().unwrap();
+        moving.joints[0].axis = glam::DQuat::from_rotation_z(10f64.to_radians()) * DVec3::X;
+        moving.joints[0].unsure = [sigma_deg.to_radians(), 0.0];
+        dataset.place_parts(moving);
+        let result = train(&dataset, &config(600), None, &Progress::silent()).unwrap();
+        result.moving.unwrap().joints[0].axis.cross(DVec3::X).length().asin().to_degrees()
+    };
+    let (sure, unsure) = (off_deg(0.0), off_deg(10.0));
+    assert!((sure - 10.0).abs() < 1e-6 && unsure < 3.0, "{sure}° and {unsure}° off");
 }

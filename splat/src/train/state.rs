@@ -4,6 +4,7 @@
 use super::pace::Pace;
 use super::schedule::Place;
 use crate::backend::StepOutput;
+use crate::dataset::JointPlace;
 use scene::decision::Decision;
 use serde::{Deserialize, Serialize};
 
@@ -35,6 +36,9 @@ pub(crate) struct ViewCorrections {
     /// of the data set where there are none. Written by the joint rule.
     #[serde(default)]
     pub(crate) joints: Vec<[Vec<f64>; 2]>,
+    /// Where each joint is, normalised. Written by the joint rule with the angles.
+    #[serde(default)]
+    pub(crate) hinges: Vec<JointPlace>,
 }
 
 /// Sums over steps, for the next point of the curve.
