@@ -85,7 +85,10 @@ fn search(
         let normalised = World(dataset.normalisation).normalised(&joint);
         let gain = judge::gain_db(seen, &judges, &normalised, &candidate.points, progress)?;
         if let Some(gain_db) = gain {
-            return Ok(Some(refined::told(&dataset, frames, &candidate, &joint, gain_db)));
+            // Gaussians that begin anew let the joint turn on, and no photo need be spared now.
+            let again = PhotoCandidate { joint: normalised, ..candidate };
+            let joint = refined(&dataset, &[], &times, &again, &quick(run), progress)?;
+            return Ok(Some(refined::told(&dataset, frames, &again, &joint, gain_db)));
         }
     }
     Ok(None)
