@@ -233,18 +233,23 @@ mod tests {
         planes.iter().flatten().chain(sh).map(|v| f64::from(*v)).collect()
     }
 
+    /// A camera, what pulls at the parts in a picture of it, and the gradient of all Gaussians where
+    /// the parts put them.
+    fn pulled(gaussians: &Gaussians, parts: &[u8]) -> (PinholeView, PartPulls, Vec<f64>) {
+        let mut rng = scene::rng::rng(6, "slope", 0);
+        let picture: Vec<f32> = (0..64 * 48 * 3).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let (options, camera) = (RenderOptions::default(), view(places()));
+        let ours = backend(gaussians, parts).gradients(&camera, &options, &picture).pulls;
+        let still = view(PartPlaces::NONE);
+        let here = backend(&moved(gaussians, parts, ANGLES), &[]).gradients(&still, &options, &picture);
+        (camera, ours, numbers(&here.geometry, &here.sh))
+    }
+
     #[test]
     fn the_slope_of_an_angle_is_what_gradients_say_of_gaussians_that_follow_it() {
         let (gaussians, parts) = scene();
-        let mut rng = scene::rng::rng(6, "slope", 0);
-        let picture: Vec<f32> = (0..64 * 48 * 3).map(|_| rng.random_range(-1.0..1.0)).collect();
-        let options = RenderOptions::default();
-        let camera = view(places());
-        let ours = backend(&gaussians, &parts).gradients(&camera, &options, &picture).pulls;
-        let still = view(PartPlaces::NONE);
+        let (camera, ours, gradient) = pulled(&gaussians, &parts);
         let at = |angles: [f64; 2]| Model::from_gaussians(&moved(&gaussians, &parts, angles));
-        let here = backend(&moved(&gaussians, &parts, ANGLES), &[]).gradients(&still, &options, &picture);
-        let gradient = numbers(&here.geometry, &here.sh);
         for k in 0..2 {
             let change = |by: f64| {
                 let mut angles = ANGLES;
@@ -263,14 +268,7 @@ mod tests {
     #[test]
     fn the_slopes_of_an_axis_and_a_place_are_what_gradients_say_of_gaussians_that_follow_them() {
         let (gaussians, parts) = scene();
-        let mut rng = scene::rng::rng(6, "slope", 0);
-        let picture: Vec<f32> = (0..64 * 48 * 3).map(|_| rng.random_range(-1.0..1.0)).collect();
-        let options = RenderOptions::default();
-        let camera = view(places());
-        let ours = backend(&gaussians, &parts).gradients(&camera, &options, &picture).pulls;
-        let still = view(PartPlaces::NONE);
-        let here = backend(&moved(&gaussians, &parts, ANGLES), &[]).gradients(&still, &options, &picture);
-        let gradient = numbers(&here.geometry, &here.sh);
+        let (camera, ours, gradient) = pulled(&gaussians, &parts);
         let hinge = joints()[0].at();
         let slopes = hinge.slopes(ANGLES[0], &ours[0], camera.of_part(1).position());
         for along in [DVec3::new(0.3, -0.1, 0.7), DVec3::new(-0.5, 0.1, 0.2)] {

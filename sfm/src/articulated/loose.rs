@@ -36,7 +36,7 @@ pub struct LooseJoint {
 
 /// How a joint is fitted.
 struct LooseLimits {
-    /// Times that weights follow from what is left, and weights and twists from each other.
+    /// Times that the body's twist and the weights of points follow from each other.
     rounds: usize,
     /// Times that angles and twist follow from each other. Source: power iteration of a matrix
     /// whose first two values differ by a third.

@@ -51,10 +51,13 @@ pub(super) fn part_from_photos(
     progress: &Progress,
 ) -> Result<Option<MovingPart>> {
     let config = KnownRun::read(run)?.config;
-    let set = folder.join("undistorted");
-    sfm::undistort(frames, model, &set, progress)?;
-    let dataset = crate::evaluate::load_to_train(&set, &config.dataset, progress)?;
+    // Not where the run or a splat of parts has such photos, which stay.
+    let set = folder.join(".search");
+    let dataset = sfm::undistort(frames, model, &set, progress)
+        .map_err(anyhow::Error::from)
+        .and_then(|_| crate::evaluate::load_to_train(&set, &config.dataset, progress));
     std::fs::remove_dir_all(&set).ok();
+    let dataset = dataset?;
     let known = run.join("splat.ply");
     let gaussians = if known.is_file() {
         scene::io::ply::read_splat_ply(&known)?

@@ -96,16 +96,15 @@ fn solid(gaussians: &Gaussians) -> Vec<Vec3> {
     let all = gaussians.means.iter().zip(&gaussians.opacity_logits);
     let solid = all.filter(|(mean, logit)| **logit > PIECES.opacity_logit && mean.is_finite());
     let mut points: Vec<Vec3> = solid.map(|(mean, _)| *mean).collect();
-    let middle = Vec3::from([0, 1, 2].map(|a| median(points.iter().map(|p| p[a]).collect())));
-    let usual = median(points.iter().map(|p| p.distance(middle)).collect());
+    let middle = Vec3::from([0, 1, 2].map(|a| median(points.iter().map(|p| p[a]))));
+    let usual = median(points.iter().map(|p| p.distance(middle)));
     points.retain(|p| p.distance(middle) <= PIECES.far * usual);
     points
 }
 
 /// 0 of nothing.
-fn median(mut values: Vec<f32>) -> f32 {
-    let at = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(at, f32::total_cmp).1 }
+fn median(values: impl Iterator<Item = f32>) -> f32 {
+    scene::overview::quantile(values.map(f64::from).collect(), 0.5).unwrap_or(0.0) as f32
 }
 
 /// First centres: points drawn by the squares of their distances from those before (k-means++,

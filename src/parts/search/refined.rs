@@ -98,3 +98,51 @@ fn by_frame(of_views: &[f64], dataset: &Dataset, frames: &FrameSet) -> Vec<f64> 
         numbers.enumerate().filter_map(|(k, view)| Some((k as f64, of_views[view?].to_degrees()))).collect();
     (0..frames.frames.len()).map(|k| between(&known, k as f64)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use scene::{Camera, CameraModel, Frame, Pose};
+    use splat::{AlphaMode, View};
+
+    #[test]
+    fn a_part_is_at_rest_in_the_first_frame_and_stands_as_its_joint_puts_it() {
+        let normalisation = NormalisedFrame { centre: DVec3::new(1.0, 2.0, 3.0), scale: 0.5 };
+        let camera = Camera::centred(1, CameraModel::Pinhole, 4, 4, 4.0);
+        let pose = Pose::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, -DVec3::Y);
+        let name = |k: usize| format!("{k}.png");
+        let view = |k: usize| View {
+            name: name(k),
+            view: normalisation.view(&camera, &pose),
+            levels: Vec::new(),
+            held_out: false,
+            camera: camera.clone(),
+            pose,
+        };
+        // The second frame has no view.
+        let dataset = Dataset {
+            views: [0, 2].map(view).to_vec(),
+            points: vec![(Vec3::ZERO, [0; 3])],
+            normalisation,
+            alpha: AlphaMode::Transparent,
+            articulation: None,
+        };
+        let all = (0..3).map(|k| Frame { name: name(k), ..Frame::default() }).collect();
+        let frames = FrameSet { frames: all, ..FrameSet::default() };
+        let (axis, place) = (DVec3::Z, DVec3::new(0.3, 0.0, 0.1));
+        let joint = Joint { axis, place, angles: vec![0.2, 0.6], sigmas: vec![0.1; 2], unsure: [0.1, 0.2] };
+        let loose = World(normalisation).normalised(&joint);
+        let points = vec![DVec3::new(0.2, -0.1, 0.4)];
+        let candidate = PhotoCandidate { joint: loose, points };
+        let part = told(&dataset, &frames, &candidate, &joint, 0.5);
+        let turned = [0.0, 0.2, 0.4].map(f64::to_degrees);
+        assert!(part.angles_deg.iter().zip(turned).all(|(a, b)| (a - b).abs() < 1e-9), "{part:?}");
+        for (angle_deg, angle) in part.angles_deg.iter().zip([0.2, 0.4, 0.6]) {
+            let world = DVec3::new(0.4, -0.2, 0.8) + normalisation.centre;
+            let truth = place + DQuat::from_axis_angle(axis, angle) * (world - place);
+            let found = part.pose(*angle_deg).transform(DVec3::from(part.points[0]));
+            assert!(found.distance(truth) < 1e-9, "{found} {truth}");
+        }
+    }
+}
