@@ -233,8 +233,8 @@ mod tests {
         planes.iter().flatten().chain(sh).map(|v| f64::from(*v)).collect()
     }
 
-    /// A camera, what pulls at the parts in a picture of it, and the gradient of all Gaussians where
-    /// the parts put them.
+    /// A camera, what pulls at the parts in a picture of it, and the gradient of all Gaussians
+    /// where the parts put them.
     fn pulled(gaussians: &Gaussians, parts: &[u8]) -> (PinholeView, PartPulls, Vec<f64>) {
         let mut rng = scene::rng::rng(6, "slope", 0);
         let picture: Vec<f32> = (0..64 * 48 * 3).map(|_| rng.random_range(-1.0..1.0)).collect();
